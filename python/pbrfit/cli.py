@@ -28,7 +28,6 @@ PRINTED_AT_ONCE = ("-h", "--help", "--version")
 START = """pbrfit PHOTOS               a folder of pictures of one view under different lights
 pbrfit demo out             the same with a scene that is made up
 pbrfit decompose --help     what can be set; pbrfit --help lists all commands"""
-"""What to type first."""
 
 ALIKE = 0.7
 """Likeness of two names, as `difflib` has it from 0 to 1, from which on one may be a misspelling

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model
 from pbrfit.scene.scene import Scene
-from pbrfit.synthetic import make_scene
-from pbrfit.synthetic.exposure import MEAN_RADIANCE
+from pbrfit.synthetic import MEAN_RADIANCE, make_scene
 from pbrfit_evaluation.convergence.measure import held_out_errors, measure
 from pbrfit_evaluation.heldout.measure import split
 from pbrfit_evaluation.heldout.sources import find_sources, opened

@@ -14,7 +14,7 @@ from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
 from pbrfit.scene.arrays import Truth
 from pbrfit.scene.scene import Scene
-from pbrfit.synthetic.exposure import MEAN_RADIANCE, gains
+from pbrfit.synthetic import MEAN_RADIANCE, gains
 from pbrfit.synthetic.lights import random_colors, random_lights
 from pbrfit.synthetic.world import World
 from pbrfit_evaluation.cycles.export import Stage, check_choice, export

@@ -257,7 +257,7 @@ def _chosen(result: Result) -> dict[str, Any]:
         "light": "harmonics" if result.lamps is None else "lamps",
         "why": result.assumed.get("light"),
         "response": None if result.camera is None else result.camera.response,
-        "held_out": None if held_out is None else held_out.as_json(),
+        "held_out": None if held_out is None else asdict(held_out),
     }
 
 

@@ -43,7 +43,6 @@ if TYPE_CHECKING:
 log = logging.getLogger("pbrfit")
 
 PICTURES_MIN = 2
-"""Pictures that a scene needs."""
 
 NETWORKS = ("sam2", "marigold", *depths.NETWORKS)
 """Sources of maps that are networks."""
@@ -159,12 +158,24 @@ def generate(
         (made / SHEET).write_bytes(as_png(report.sheet(journal)))
         enough = len(report.accepted) + with_photo >= PICTURES_MIN
         if enough:
-            _write_maps(made, photo, view, surface)
+            write_normals(made / "normals.exr", surface.normals, surface.uncertainty)
+            if surface.weights is not None:
+                write_weights(made / WEIGHT_FILE, surface.weights, ())
+            if photo.mask is not None:
+                mask = np.where(photo.mask, 255, 0).astype(np.uint8)
+                images.write_png(made / "mask.png", mask, tag=None)
+            (made / "scene.toml").write_text(f"fov = {float(view)!r}\n", encoding="utf-8")
             if parts is not None:
                 images.write_png(made / "segments.png", parts[0], tag=None)
             if relief is not None:
                 images.write_exr(made / "depth.exr", {"Z": relief.depth})
-            _write_pictures(made / PICTURES, report, journal)
+            (made / PICTURES).mkdir()
+            if with_photo:
+                images.write_png(made / PICTURES / f"{PHOTO}.png", photo.srgb8(), tag="srgb")
+            for picture in report.accepted:
+                pixels = journal.pixels(picture.attempts[-1].entry)
+                file = made / PICTURES / f"{picture.request.name}.png"
+                images.write_png(file, pixels, tag="srgb")
     if not enough:
         raise InputError(_too_few(report))
     return report
@@ -210,8 +221,8 @@ def _segments(photo: Photo, source: str, device: str) -> Segments | None:
         return None
     from pbrfit.acquire.segments import segment
 
-    with _or_instead("segments", source, "none or FILE"):
-        return segment(source, photo.srgb8(), **_options(source, device))
+    with _or_instead("segments", source, "none or FILE", device) as options:
+        return segment(source, photo.srgb8(), **options)
 
 
 def _normals(photo: Photo, source: str, fov: float, device: str) -> Normals:
@@ -221,8 +232,7 @@ def _normals(photo: Photo, source: str, fov: float, device: str) -> Normals:
             f"take flat ones first, and then `pbrfit normals SCENE --from {source} --view-width "
             "WIDTH --overwrite`"
         )
-    options = _options(source, device)
-    with _or_instead("normals", source, "flat, depth:FILE or FILE"):
+    with _or_instead("normals", source, "flat, depth:FILE or FILE", device) as options:
         return estimate(source, photo.srgb8(), fov=fov, mask=photo.mask, **options)
 
 
@@ -250,20 +260,15 @@ def _depth(
         mask=np.ones(photo.size, bool) if photo.mask is None else photo.mask,
         segments=None if segments is None else segments[0],
     )
-    options = _options(source, device)
-    with _or_instead("depth", source, "none, normals or FILE"):
+    with _or_instead("depth", source, "none, normals or FILE", device) as options:
         return depths.estimate(source, photo.srgb8(), surface, fuse=True, **options)
 
 
-def _options(source: str, device: str) -> dict[str, Any]:
-    return {"device": device} if source in NETWORKS else {}
-
-
 @contextmanager
-def _or_instead(what: str, source: str, others: str) -> Iterator[None]:
-    """Let the failure of a network say what does without one."""
+def _or_instead(what: str, source: str, others: str, device: str) -> Iterator[dict[str, Any]]:
+    """Give options for a source, and let the failure of a network say what does without one."""
     try:
-        yield
+        yield {"device": device} if source in NETWORKS else {}
     except InputError as error:
         if source not in NETWORKS:
             raise
@@ -301,23 +306,3 @@ def _too_few(report: GenerationReport) -> str:
         f"{report.out}: expected at least {PICTURES_MIN} pictures for a scene, found "
         f"{found}{with_photo}; left out were {told or 'none'}"
     )
-
-
-def _write_maps(folder: Path, photo: Photo, fov: float, surface: Normals) -> None:
-    write_normals(folder / "normals.exr", surface.normals, surface.uncertainty)
-    if surface.weights is not None:
-        write_weights(folder / WEIGHT_FILE, surface.weights, ())
-    if photo.mask is not None:
-        mask = np.where(photo.mask, 255, 0).astype(np.uint8)
-        images.write_png(folder / "mask.png", mask, tag=None)
-    (folder / "scene.toml").write_text(f"fov = {float(fov)!r}\n", encoding="utf-8")
-
-
-def _write_pictures(folder: Path, report: GenerationReport, journal: Journal) -> None:
-    """Generated pictures as they are in the journal, and the photograph as it was shown."""
-    folder.mkdir()
-    if report.with_photo:
-        images.write_png(folder / f"{PHOTO}.png", report.photo.srgb8(), tag="srgb")
-    for picture in report.accepted:
-        pixels = journal.pixels(picture.attempts[-1].entry)
-        images.write_png(folder / f"{picture.request.name}.png", pixels, tag="srgb")

@@ -35,17 +35,13 @@ class GenerationReport:
     """What a run did."""
 
     out: Path
-    """The scene folder."""
     photo: Photo
-    """The photograph."""
     with_photo: bool
     """Whether it is a picture of the scene too."""
     settings: dict[str, Any]
-    """The generator's."""
     pictures: Sequence[Picture]
     """All that were asked for, with every attempt."""
     reviewed: bool
-    """Whether there was a review."""
     fov: float
     """Horizontal field of view in degrees."""
     assumed: dict[str, str]
@@ -127,7 +123,13 @@ def contact_sheet(
     All as they go to the screen; pictures that were refused are crossed, and the order of the
     others is kept. Returns (H, W, 3) uint8.
     """
-    pictures = [replace(one, caption=_shortened(one.caption)) for one in pictures]
+    half = (CAPTION_LENGTH_MAX - 1) // 2  # the ends tell pictures apart; the seed is at one of them
+    pictures = [
+        replace(one, caption=f"{one.caption[:half]}…{one.caption[-half:]}")
+        if len(one.caption) > CAPTION_LENGTH_MAX
+        else one
+        for one in pictures
+    ]
     accepted = [Panel("the photo", photo), *(one for one in pictures if not one.crossed)]
     refused = [one for one in pictures if one.crossed]
     columns = min(COLUMNS, max(len(accepted), len(refused)))
@@ -137,12 +139,6 @@ def contact_sheet(
         rows = [filled[i : i + columns] for i in range(0, len(filled), columns)]
         parts += [sheet(rows, title=above)] if panels else []
     return np.concatenate(parts)
-
-
-def _shortened(caption: str) -> str:
-    """Without its middle: the ends tell pictures apart, and the seed is at one of them."""
-    half = (CAPTION_LENGTH_MAX - 1) // 2
-    return caption if len(caption) <= CAPTION_LENGTH_MAX else f"{caption[:half]}…{caption[-half:]}"
 
 
 def _picture(picture: Picture) -> dict[str, Any]:

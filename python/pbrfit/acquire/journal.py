@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import itertools
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -42,9 +43,6 @@ FOLDER = "generation"
 
 ENTRY = "an entry of a generation journal"
 
-SUFFIXES = (".png", ".json")
-"""Files of a request."""
-
 ESCAPED = "backslashreplace"
 """How bytes in names of files that are no UTF-8 are written: in JSON they come back from it."""
 
@@ -59,7 +57,6 @@ class Entry:
     stem: str
     """Of its files' names."""
     request: Request
-    """What was asked for."""
     refused: str
     """Why there is no picture; empty where there is one."""
     record: dict[str, Any]
@@ -135,11 +132,9 @@ class Journal:
     def _free(self, request: Request) -> str:
         """NAME-SEED, or NAME-SEED-2 and so on where that was of another prompt or photo."""
         stem = f"{request.name}-{request.seed}"
-        k = 1
-        while any((self.folder / f"{stem}{suffix}").exists() for suffix in SUFFIXES):
-            k += 1
-            stem = f"{request.name}-{request.seed}-{k}"
-        return stem
+        stems = itertools.chain([stem], (f"{stem}-{k}" for k in itertools.count(2)))
+        files = [".png", ".json"]
+        return next(s for s in stems if not any((self.folder / (s + f)).exists() for f in files))
 
 
 def about(photo: Photo, settings: dict[str, Any]) -> dict[str, Any]:
@@ -179,11 +174,6 @@ def differences(folder: Path, photo: Photo, settings: dict[str, Any]) -> list[st
         ]
     except UNFIT:
         raise _strange(path) from None
-
-
-def holds_nothing(folder: Path) -> bool:
-    """Whether a journal has no entry."""
-    return all(path.name == RUN for path in folder.iterdir())
 
 
 def _key(request: Request) -> tuple[str, str, str, int]:

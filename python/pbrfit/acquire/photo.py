@@ -13,7 +13,7 @@ from pbrfit._core import InputError
 from pbrfit.display.tone import encoded
 from pbrfit.io import images
 from pbrfit.io.color import ColorSpace
-from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
+from pbrfit.io.resampling import averaged_channels, averaged_where, reduced_size
 from pbrfit.model.geometry import fov_from_focal_length
 from pbrfit.result.metrics import display, white_of
 from pbrfit.scene import folder as scene_folder
@@ -31,7 +31,6 @@ class Photo:
     """A photograph at the size that pictures are generated at."""
 
     path: Path
-    """The file."""
     pixels: NDArray[np.float32]
     """(H, W, 3), linear Rec.709, upright. Finite; what the mask leaves out is as stored."""
     mask: NDArray[np.bool_] | None
@@ -107,7 +106,11 @@ def read_photo(
         assumed["alpha"] = f"{np.count_nonzero(~valid)} transparent or infinite pixels left out"
     if size != (height, width):
         assumed["size"] = f"averaged from {width} × {height} to {size[1]} × {size[0]} pixels"
-        pixels, valid = _averaged_down(pixels, valid, size)
+        # Under transparent pixels is anything, often black, which must not darken an outline.
+        small, share = averaged_where(pixels, valid, size)
+        nothing = share[..., None] == 0
+        pixels = np.where(nothing, averaged_channels(pixels, size), small).astype(np.float32)
+        valid = share >= 0.5
     if not valid.any():
         raise InputError(f"{path}: expected opaque pixels, found none at {size[1]} × {size[0]}")
     exposure = 0.0
@@ -130,20 +133,6 @@ def read_photo(
         full_size=(height, width),
         assumed=assumed,
     )
-
-
-def _averaged_down(
-    pixels: NDArray[np.float32], valid: NDArray[np.bool_], size: tuple[int, int]
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Means over the valid part of each new pixel; valid is what is so for the most part.
-
-    Under transparent pixels is anything, often black, which must not darken an outline.
-    """
-    share = averaged(valid, size)[..., None]
-    of_all = averaged_channels(pixels, size)
-    of_valid = averaged_channels(np.where(valid[..., None], pixels, 0), size)
-    small = np.where(share > 0, of_valid / np.maximum(share, 1e-12), of_all)
-    return small.astype(np.float32), share[..., 0] >= 0.5
 
 
 def exposure_of(path: Path, pixels: NDArray[np.float32]) -> float:

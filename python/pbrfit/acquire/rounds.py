@@ -34,7 +34,6 @@ class Attempt:
     """One answer of the generator and what became of it."""
 
     entry: Entry
-    """What the journal holds."""
     checks: tuple[Check, ...] = ()
     """Of the picture by itself; empty without a review, or where there is no picture."""
     together: tuple[Check, ...] = ()

@@ -137,7 +137,7 @@ def _working(out_at: Path, out: Path) -> Iterator[Path]:
             shutil.rmtree(temporary, ignore_errors=True)
             kept = out_at / journal.FOLDER
             with suppress(OSError):
-                if kept.is_dir() and journal.holds_nothing(kept):
+                if kept.is_dir() and all(path.name == journal.RUN for path in kept.iterdir()):
                     shutil.rmtree(kept)
 
 

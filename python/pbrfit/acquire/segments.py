@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -77,10 +76,15 @@ def by_sam2(
     import torch
     from PIL import Image
     from transformers import AutoImageProcessor, Sam2Model, pipeline
+    from transformers.utils import logging
 
     where = weights.placement(device, "float32", what=WHAT)
-    with _without_warnings():
+    verbosity = logging.get_verbosity()
+    logging.set_verbosity_error()  # checkpoints that were made for video are warned of
+    try:
         loaded = weights.load(WHAT, model, loader=Sam2Model.from_pretrained, marker="config.json")
+    finally:
+        logging.set_verbosity(verbosity)
     processor = weights.load(
         WHAT, model, loader=AutoImageProcessor.from_pretrained, marker="config.json"
     )
@@ -108,19 +112,6 @@ def by_sam2(
         "packages": weights.versions("transformers", "torchvision", "torch"),
     }
     return ids, record
-
-
-@contextmanager
-def _without_warnings() -> Iterator[None]:
-    """Keep transformers from warning that SAM2's checkpoints, made for video, are for video."""
-    from transformers.utils import logging
-
-    before = logging.get_verbosity()
-    logging.set_verbosity_error()
-    try:
-        yield
-    finally:
-        logging.set_verbosity(before)
 
 
 def ids_of(

@@ -125,26 +125,15 @@ def load(
     marker: str,
     revision: str | None = None,
 ) -> Loaded:
-    """Load a network from a local folder or by its name on the Hugging Face Hub.
+    """Load a network of a `kind`, for messages, from a local folder or the Hugging Face Hub.
 
-    Raises InputError if it is in neither place and cannot be downloaded, or cannot be loaded: one
-    line that says which and where it was looked for.
-
-    Parameters
-    ----------
-    kind
-        What it is, for messages: "FLUX.2 Klein".
-    model
-        Local folder as `save_pretrained` leaves it, or OWNER/NAME on the Hub.
-    loader
-        A `from_pretrained`, with what else it needs bound to it. It is called with the name or
-        folder and ``local_files_only``, and with ``revision`` if there is one; an `InputError` of
-        its own passes through.
-    marker
-        File that every folder of this kind has: "model_index.json" of a pipeline, "config.json"
-        of a single network.
-    revision
-        Branch, tag or commit on the Hub.
+    `model` is a folder as `save_pretrained` leaves it, or OWNER/NAME on the Hub, of a branch, tag
+    or commit `revision`. `loader` is a `from_pretrained`, with what else it needs bound to it; it
+    is called with the name or folder, ``local_files_only``, and ``revision`` if there is one, and
+    an `InputError` of its own passes through. `marker` is a file that every folder of this kind
+    has: "model_index.json" of a pipeline, "config.json" of a single network. Raises InputError if
+    it is in neither place and cannot be downloaded, or cannot be loaded: one line that says which
+    and where it was looked for.
     """
     options = {} if revision is None else {"revision": revision}
     folder = Path(model).expanduser()

@@ -34,7 +34,6 @@ class Attempt(Generic[R]):
     raised: str | None = None
     """The type of what its function raised, by name."""
     seconds: float = 0.0
-    """That it took."""
     said: tuple[tuple[int, str], ...] = ()
     """What it logged in another process: level and message."""
 
@@ -66,29 +65,18 @@ def drive(
     memory: Callable[[T], int] | None = None,
     available: int | None = None,
 ) -> None:
-    """Do all tasks.
+    """Do all tasks, whatever can be pickled, by workers that are stopped in the end.
 
     Whoever runs when a worker dies is suspected of it. Suspects are tried again in the end, one at
     a time, which shows whose process dies; the death may also have been another's doing, who took
     all memory. A task that makes no step has its process ended and fails at once; those that ran
     beside it are done again as if nothing had been.
 
-    Parameters
-    ----------
-    tasks
-        Whatever can be pickled.
-    work
-        A function of a module, called with a task and the number of threads it may use (0 = one
-        for each processor). What it raises fails its task alone, whether or not it can be pickled.
-    workers
-        Where tasks run. They are stopped in the end, also by Ctrl-C.
-    ended
-        Called in this thread with each task as it ends.
-    meanwhile
-        Called with how many tasks run, when that changes and while nothing ends.
-    memory, available
-        Bytes that a task will take, and that there are. A task waits while it and those running
-        would take more; one runs always.
+    `work` is a function of a module, called with a task and the number of threads it may use (0 =
+    one for each processor). What it raises fails its task alone. `ended` is called in this thread
+    with each task as it ends, `meanwhile` with how many run, when that changes and while nothing
+    ends. `memory` gives the bytes that a task will take, of so many `available`: a task waits while
+    it and those running would take more; one runs always.
     """
     waiting, suspects = deque(tasks), deque[T]()
     sizes: dict[int, int] = {}  # by the identity of a task: its size is read from files, once

@@ -99,10 +99,15 @@ def _clear(place: Path) -> None:
             for left in place.iterdir():
                 if not OURS.fullmatch(left.name) or kind_of(left.lstat()) != FOLDER:
                     continue
-                if left.name.endswith(ASIDE):
-                    _put_back(left, place.parent)
-                else:
+                if not left.name.endswith(ASIDE):
                     shutil.rmtree(left)
+                    continue
+                for old in left.iterdir():
+                    if there(place.parent / old.name):
+                        shutil.rmtree(old)
+                    else:
+                        old.rename(place.parent / old.name)
+                left.rmdir()  # fails if something has come into it meanwhile
         except OSError:
             if last:
                 raise
@@ -120,15 +125,6 @@ def _remove(place: Path) -> None:
             return
         with suppress(OSError):
             _clear(place)
-
-
-def _put_back(aside: Path, folder: Path) -> None:
-    for old in aside.iterdir():
-        if there(folder / old.name):
-            shutil.rmtree(old)
-        else:
-            old.rename(folder / old.name)
-    aside.rmdir()  # fails if something has come into it meanwhile
 
 
 def _check_ours(place: Path, said: Path) -> None:

@@ -92,10 +92,14 @@ def picture_size(path: Path) -> tuple[int, int]:
     kind = image_format(head)
     if raw_files.is_raw(path, head, kind):
         return raw_files.size(path)
-    if kind in ("EXR", "HDR"):
-        found = _of_exr(head) if kind == "EXR" else _of_hdr(head)
-    else:
-        found = None if kind is None else _of_raster(stored)
+    found = None
+    if kind == "EXR":
+        found = _of_exr(head)
+    elif kind == "HDR":
+        stated = re.search(rb"\n\n-Y (\d{1,9}) \+X (\d{1,9})\n", head)
+        found = stated and (int(stated[1]), int(stated[2]))
+    elif kind is not None:
+        found = _of_raster(stored)
     if found is not None and min(found) > 0:
         return found
     height, width = images.read_picture(path).pixels.shape[:2]  # such as TIFF of floats
@@ -111,11 +115,6 @@ def _of_raster(path: Path) -> tuple[int, int] | None:
                 return max(((page.height, page.width) for page in pages), key=math.prod)
         except Exception:  # forms that Pillow does not know, or whatever damage leads to
             return None
-
-
-def _of_hdr(head: bytes) -> tuple[int, int] | None:
-    found = re.search(rb"\n\n-Y (\d{1,9}) \+X (\d{1,9})\n", head)
-    return None if found is None else (int(found[1]), int(found[2]))
 
 
 def _of_exr(head: bytes) -> tuple[int, int] | None:

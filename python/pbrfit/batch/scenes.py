@@ -45,10 +45,8 @@ class SceneTask:
 
     scene: Path
     output: Path
-    """Folders."""
     reading: ReadOptions
     options: FitOptions
-    """How."""
     pictures: tuple[Path, ...] = ()
     """Files that were named one by one; none = those of the scene folder."""
     threads: int = 0

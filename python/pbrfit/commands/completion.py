@@ -8,9 +8,9 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import redirect_stderr, suppress
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from pbrfit import commands
 from pbrfit.commands.arguments import DONE
@@ -51,7 +51,7 @@ def whole_parser() -> argparse.ArgumentParser:
     below = parser.add_subparsers()
     for name, said in commands.SUMMARIES.items():
         of_command = below.add_parser(name, help=said)
-        with suppress(_EndedError):  # `evaluate` without its distribution
+        with suppress(SystemExit), redirect_stderr(None):  # `evaluate` without its distribution
             commands.add_options_of(name, of_command)
         for suite in subcommands(of_command).values():
             if suite.complete is not None:
@@ -71,16 +71,9 @@ def _actions(parser: argparse.ArgumentParser) -> list[argparse.Action]:
     return [*parser._actions, *(one for of in subcommands(parser).values() for one in _actions(of))]
 
 
-class _EndedError(Exception):
-    """A parser had enough."""
-
-
 class _Whole(argparse.ArgumentParser):
     """A parser that is looked at and never parses."""
 
     def __init__(self, *, complete: Callable[[Any], None] | None = None, **arguments: Any) -> None:
         super().__init__(**arguments)
         self.complete = complete
-
-    def exit(self, status: int = 0, message: str | None = None) -> NoReturn:
-        raise _EndedError(status, message)

@@ -30,7 +30,6 @@ MOST_USED = (
     *("out", "overwrite", "verbose", "fov", "color_space", "max_size", "light", "white"),
     *("time_limit", "resume", "jobs", "help_all"),
 )
-"""Options that `--help` shows."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -96,8 +95,11 @@ def run(options: argparse.Namespace) -> int:
         scenes, one = [locate(options.pictures).folder], True
     else:
         scenes, one = _find_scenes(options.scenes)
-    if options.out is None:
-        options.out = _default_output(scenes if one else options.scenes)
+    if options.out is None:  # by the folder that holds all
+        paths = [path.resolve() for path in (scenes if one else options.scenes)]
+        above = [path.parent for path in paths]
+        folder = paths[0] if len(paths) == 1 else Path(os.path.commonpath(above))
+        options.out = Path(f"{folder.name or 'scene'}-pbrfit")
     outputs = [options.out if one else options.out / path.resolve().name for path in scenes]
     check_unread(scenes, outputs)
     for output in outputs:
@@ -109,14 +111,6 @@ def run(options: argparse.Namespace) -> int:
     if one and options.cluster is None and safe:
         return _run_one(_task(scenes[0], outputs[0], options), options)
     return _run_all(scenes, outputs, options, one=one)
-
-
-def _default_output(paths: Sequence[Path]) -> Path:
-    """NAME-pbrfit in the current folder, by the folder that holds all of the paths."""
-    folder = paths[0].resolve()
-    if len(paths) > 1:
-        folder = Path(os.path.commonpath([path.resolve().parent for path in paths]))
-    return Path(f"{folder.name or 'scene'}-pbrfit")
 
 
 def _task(

@@ -19,7 +19,7 @@ from pbrfit.report import write_report
 from pbrfit.result.advice import next_steps
 from pbrfit.result.relighting import DirectionalLight, relight
 from pbrfit.result.relit_files import Screen, write_animation
-from pbrfit.result.result import RESULT_FOLDER, Result
+from pbrfit.result.result import RESULT_FOLDER
 from pbrfit.scene.folder import SCENE_FOLDER
 from pbrfit.scene.scene import Scene
 
@@ -38,7 +38,6 @@ DEMO_FOLDER = FolderForm(
     ),
     listed=lambda folder: [f"scene/{path}" for path in SCENE_FOLDER.listed(folder / "scene")],
 )
-"""Form of what the command writes."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -60,7 +59,11 @@ def run(options: argparse.Namespace) -> int:
         with fit_steps(quiet=options.quiet) as show:
             result = decompose(scene, fit_options(options), threads=options.threads, progress=show)
         result.save(folder / "result", scene=scene)
-        _relight(result, folder, options.threads)
+        screen, threads = Screen(), options.threads
+        write_png(folder / "relit.png", screen.shown(relight(result, LAMP, threads)), "srgb")
+        lamps = (LAMP.turned(360 * k / FRAMES) for k in range(FRAMES))
+        frames = (screen.shown(relight(result, lamp, threads)) for lamp in lamps)
+        write_animation(folder / "relit.webp", ".webp", frames, fps=16)
         write_report(result, folder / "report.html", scene)
     if not options.quiet:
         said = [
@@ -74,12 +77,3 @@ def run(options: argparse.Namespace) -> int:
         ]
         print("\n".join(said))
     return DONE
-
-
-def _relight(result: Result, folder: Path, threads: int) -> None:
-    screen = Screen()
-    frames = (
-        screen.shown(relight(result, LAMP.turned(360 * k / FRAMES), threads)) for k in range(FRAMES)
-    )
-    write_png(folder / "relit.png", screen.shown(relight(result, LAMP, threads)), "srgb")
-    write_animation(folder / "relit.webp", ".webp", frames, fps=16)

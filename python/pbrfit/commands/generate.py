@@ -168,27 +168,21 @@ def run(options: argparse.Namespace) -> int:
     if options.generator == "flux2-klein":
         names += ["device", "quiet"]
     generator = create(options.generator, **{name: getattr(options, name) for name in names})
+    as_given = ["count", "normals", "segments", "depth", "fov", "color_space"]
+    as_given += ["max_size", "resume", "overwrite"]
     with _progress(options) as told:
         report = generate(
             options.photo,
             options.out,
             generator=generator,
             catalogue=catalogue,
-            count=options.count,
             seed=options.seed or 0,
             regenerate=REGENERATE if options.regenerate is None else options.regenerate,
             review=not options.no_review,
-            normals=options.normals,
-            segments=options.segments,
-            depth=options.depth,
             device=options.device or "auto",
-            fov=options.fov,
-            color_space=options.color_space,
-            max_size=options.max_size,
             with_photo=not options.without_photo,
-            resume=options.resume,
-            overwrite=options.overwrite,
             progress=told,
+            **{name: getattr(options, name) for name in as_given},
         )
     with cli.unread_is_no_failure():
         if options.json:

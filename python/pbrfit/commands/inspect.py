@@ -5,15 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from pbrfit.commands.arguments import (
-    DONE,
-    add_flags,
-    add_scene,
-    refuse_idle,
-    scene_named,
-    switch,
-    value,
-)
+from pbrfit.commands import arguments as cli
 from pbrfit.commands.scene_options import add_input, reading
 from pbrfit.io import images
 from pbrfit.io.output import check_free_file, new_file
@@ -30,18 +22,17 @@ LOOK_SIDE = 512
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add its options."""
-    add_scene(parser, pictures=True)
+    cli.add_scene(parser, pictures=True)
     said = "write a contact sheet, PNG: pictures with histograms, normals, which face the camera"
-    add_flags(
-        parser, preview=value("FILE", Path, said), overwrite=switch("replace an existing preview")
-    )
+    replaced = cli.switch("replace an existing preview")
+    cli.add_flags(parser, preview=cli.value("FILE", Path, said), overwrite=replaced)
     add_input(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Print what a scene folder holds."""
-    refuse_idle(options, [("overwrite", options.preview is not None, "--preview")])
-    files = locate(scene_named(options.scene))
+    cli.refuse_idle(options, [("overwrite", options.preview is not None, "--preview")])
+    files = locate(cli.scene_named(options.scene))
     if options.preview is not None:
         check_free_file(options.preview, overwrite=options.overwrite)
         check_unread([files.folder], [options.preview])
@@ -52,4 +43,4 @@ def run(options: argparse.Namespace) -> int:
         with new_file(options.preview, overwrite=options.overwrite) as path:
             images.write_png(path, preview.contact_sheet(scene), tag="srgb")
         print(f"{'preview':<17} {options.preview}")
-    return DONE
+    return cli.DONE

@@ -94,8 +94,15 @@ def choose_light(options: argparse.Namespace, result: Result) -> tuple[Light, Fa
         height, width = panorama.pixels.shape[:2]
         return panorama, [("light", f"{options.env}, a panorama of {width} × {height}{turn}")]
     file = options.result / "lighting.json" if options.sh is None else options.sh
-    lighting = Lighting.load(file)
-    name = _whose(lighting.pictures, options, file)
+    lighting, name = Lighting.load(file), options.picture
+    pictures = lighting.pictures
+    if name is None and len(pictures) == 1:
+        name = pictures[0]
+    if name not in pictures:
+        expected = f"a light of {name} (--picture)"
+        if name is None:
+            expected = f"--picture NAME, because it holds {len(pictures)} lights"
+        raise InputError(f"{file}: expected {expected}, found {listed(pictures)}")
     coefficients = lighting.of((name,), file)[0]
     lamps = lighting.lamps_of((name,))
     if lamps is None:
@@ -123,14 +130,3 @@ def _near(options: argparse.Namespace, result: Result) -> tuple[PointLight, Fact
     said = ", ".join(f"{one:g}" for one in options.lamp)
     fact = f"near, at {said}, which is {distance:.3g} from the middle of what is seen"
     return lamp, [("light", fact), ("", f"color {', '.join(f'{c:g}' for c in color)} there")]
-
-
-def _whose(pictures: tuple[str, ...], options: argparse.Namespace, file: Path) -> str:
-    if options.picture in pictures:
-        return str(options.picture)
-    if options.picture is None and len(pictures) == 1:
-        return pictures[0]
-    expected = f"--picture NAME, because it holds {len(pictures)} lights"
-    if options.picture is not None:
-        expected = f"a light of {options.picture} (--picture)"
-    raise InputError(f"{file}: expected {expected}, found {listed(pictures)}")

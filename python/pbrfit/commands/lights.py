@@ -47,7 +47,6 @@ FLAGS: dict[str, Flags] = {
     },
     "file": {},
 }
-"""Options of each kind of source."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

@@ -19,7 +19,7 @@ from pbrfit.commands import arguments as cli
 from pbrfit.commands import network_options as network
 from pbrfit.commands.progress import fit_steps
 from pbrfit.commands.scene_options import DEPTH_KIND, STORED, field_of_view
-from pbrfit.fit.lamps.from_pictures import PictureNormals, normals_from_pictures
+from pbrfit.fit.lamps.from_pictures import normals_from_pictures
 from pbrfit.model.materials import nearest_inside
 from pbrfit.scene import completion, known_lamps, reading
 from pbrfit.scene import folder as scene_folder
@@ -64,7 +64,6 @@ FLAGS: dict[str, network.Flags] = {
     },
     "flat": {},
 }
-"""Options of each kind of source."""
 
 OF_PICTURES: network.Flags = {
     "threads": cli.value(
@@ -154,8 +153,10 @@ def _run_pictures(options: argparse.Namespace) -> int:
         overwrite=overwrite,
     )
     low, high = np.nanpercentile(found.height, [0, 100])
-    lines = [f"{paths[0]}: from {count} pictures under lamps"]
-    lines += [f"  {line}" for line in _of_pictures(found, scene.valid)]
+    facts = _facts(Normals(found.normals[scene.valid], found.sigma_degrees[scene.valid]))
+    facts += [known_lamps.in_words(found.lamps)]
+    facts += [f"not determined: {words}" for words in found.undetermined]
+    lines = [f"{paths[0]}: from {count} pictures under lamps", *(f"  {one}" for one in facts)]
     lines.append(f"{paths[1]}: from {low:.3g} to {high:.3g} pixels")
     cli.tell(options, [*lines, _look_at(folder)])
     return cli.DONE
@@ -164,13 +165,6 @@ def _run_pictures(options: argparse.Namespace) -> int:
 def _look_at(scene: Path) -> str:
     command = f"pbrfit inspect {shlex.quote(str(scene))} --preview normals_preview.png"
     return f"look at them: {command}"
-
-
-def _of_pictures(found: PictureNormals, valid: NDArray[np.bool_]) -> list[str]:
-    """What to know about normals that pictures told, in lines."""
-    lines = _facts(Normals(found.normals[valid], found.sigma_degrees[valid]))
-    lines.append(known_lamps.in_words(found.lamps))
-    return [*lines, *(f"not determined: {words}" for words in found.undetermined)]
 
 
 def _estimated(options: argparse.Namespace) -> tuple[Normals, str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,13 +13,12 @@ from pbrfit.display.tone import ToneMap
 from pbrfit.fit.memory import available, size
 from pbrfit.io import images
 from pbrfit.io.output import FolderForm, check_free, check_free_file, new_file, new_folder
-from pbrfit.result.metrics import white_of
+from pbrfit.result.metrics import stops, white_of
 from pbrfit.result.relighting import Light, relight, specular_enhanced, turned
 from pbrfit.result.relit_files import Radiance, Screen, write_animation, write_exr
 from pbrfit.result.result import Result
 
 FPS = 12.0
-"""Frames of an animation a second."""
 
 UNSEEN_SHARE_MAX = 0.98
 """Share of pixels that are nearly black or clipped above which another exposure is suggested."""
@@ -95,20 +93,22 @@ def run(options: argparse.Namespace) -> int:
     result = cli.read_result(options)
     if options.enhance:
         result = specular_enhanced(result)
-    _check_memory(options, kind, result)
+    # Animations hold all frames in memory, 4 bytes a pixel.
+    count, free = options.turntable or 1, available()
+    needed = 4 * count * result.mask.size
+    if kind != "folder" and free is not None and needed > free:
+        expected = f"expected {size(needed)} of memory for {count} frames, found {size(free)}"
+        raise MemoryError(f"{options.out}: {expected}; a folder needs that of one")
     light, said = choose_light(options, result)
     exposure, sampled = options.exposure, dict[int, Radiance]()
     if exposure is None and _for_screen(options, kind):
         sampled, exposure = _sampled(result, light, options)
     screen = Screen(exposure or 0.0, options.tone_map or "neutral")
-    with cli.progress_bar(options.turntable or 1, quiet=options.quiet, unit="frame") as bar:
+    with cli.progress_bar(count, quiet=options.quiet, unit="frame") as bar:
 
         def frames() -> Iterator[Radiance]:
-            made = (
-                sampled.pop(k) if k in sampled else _frame(k, result, light, options)
-                for k in range(options.turntable or 1)
-            )
-            for frame in made:
+            for k in range(count):
+                frame = sampled.pop(k) if k in sampled else _frame(k, result, light, options)
                 bar.update()
                 yield frame
 
@@ -192,15 +192,6 @@ def _check_free(options: argparse.Namespace, kind: str) -> None:
         check_free_file(options.out, overwrite=options.overwrite)
 
 
-def _check_memory(options: argparse.Namespace, kind: str, result: Result) -> None:
-    """Refuse animations that do not fit into memory, which holds all frames, 4 bytes a pixel."""
-    frames, free = options.turntable or 1, available()
-    needed = 4 * frames * result.mask.size
-    if kind != "folder" and free is not None and needed > free:
-        expected = f"expected {size(needed)} of memory for {frames} frames, found {size(free)}"
-        raise MemoryError(f"{options.out}: {expected}; a folder needs that of one")
-
-
 def _frames_folder(options: argparse.Namespace) -> FolderForm:
     """Form of a folder of frames."""
     return FolderForm(
@@ -221,8 +212,8 @@ def _sampled(
     count = options.turntable or 1
     steps = sorted({i * count // SAMPLED_FRAMES for i in range(SAMPLED_FRAMES)})
     frames = {k: _frame(k, result, light, options) for k in steps}
-    stops = round(0.0 - math.log2(max(white_of(frame) for frame in frames.values())), 1)
-    return frames, min(max(stops, -LARGEST_EXPOSURE), LARGEST_EXPOSURE)
+    exposure = stops(max(white_of(frame) for frame in frames.values()))
+    return frames, min(max(exposure, -LARGEST_EXPOSURE), LARGEST_EXPOSURE)
 
 
 def _write(

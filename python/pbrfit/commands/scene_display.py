@@ -9,9 +9,9 @@ import json
 import sys
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Self
 
 from pbrfit.batch.driver import Attempt, repeat_log
@@ -41,18 +41,9 @@ class Row:
 class SceneDisplay:
     """Tells of each scene as it ends.
 
-    Parameters
-    ----------
-    scenes
-        How many there are; a single one has no bar, and a table of its own.
-    quiet
-        No bar, no lines of progress and no table.
-    as_json
-        A line of JSON a scene on stdout, instead of the table.
-    strict
-        Complain of scenes without a usable map.
-    verbose
-        Tell how the fit of a single scene went, too.
+    A single one of so many `scenes` has no bar, and a table of its own; `verbose` tells how its fit
+    went, too. `quiet` leaves out bar, lines of progress and table; `as_json` prints a line of JSON
+    a scene in place of the table; `strict` complains of scenes without a usable map.
     """
 
     def __init__(
@@ -147,9 +138,9 @@ def _as_json(task: SceneTask, attempt: Attempt[SceneOutcome]) -> str:
     facts = ("peak_bytes", "stop_reason", "iterations")  # null of scenes that failed
     line |= {name: getattr(outcome, name, None) for name in facts}
     held_out, verdicts = getattr(outcome, "held_out", None), getattr(outcome, "verdicts", {})
-    line["held_out"] = None if held_out is None else held_out.as_json()
+    line["held_out"] = None if held_out is None else asdict(held_out)
     line["metrics"] = dict(getattr(outcome, "metrics", {}))
-    line["verdicts"] = {name: one.as_json() for name, one in verdicts.items()}
+    line["verdicts"] = {name: asdict(one) for name, one in verdicts.items()}
     return json.dumps(line)
 
 
@@ -178,7 +169,12 @@ def batch_table(rows: Sequence[Row], seconds: float) -> list[str]:
         of_level = max(map(len, PARAMETERS)) - 2
     lines = [painted(head(of_level), DIM, sys.stdout)]
     for row in rows:
-        levels = [_cell(level, of_level, words) for level in row.levels]
+        levels = [
+            " ".join(marked(level, sys.stdout, f"{words[level]:<{of_level}}"))
+            if level is not None
+            else " " * (2 + of_level)
+            for level in row.levels
+        ]
         errors = (row.residual, row.held_out)
         lines.append(line(row.name, row.status, errors, levels, f"{row.seconds:.1f}"))
     counts = Counter(row.status for row in rows)
@@ -188,12 +184,6 @@ def batch_table(rows: Sequence[Row], seconds: float) -> list[str]:
     usable = sum("usable" in row.levels for row in rows)
     parts.append(f"{usable} with a usable map")
     return [*lines, f"\n{len(rows)} scenes in {seconds:.1f} s: {', '.join(parts)}"]
-
-
-def _cell(level: Level | None, width: int, words: Mapping[Level, str]) -> str:
-    if level is None:
-        return " " * (2 + width)
-    return " ".join(marked(level, sys.stdout, f"{words[level]:<{width}}"))
 
 
 def _row(task: SceneTask, attempt: Attempt[SceneOutcome]) -> Row:

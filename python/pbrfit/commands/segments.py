@@ -27,7 +27,6 @@ SAM2: network.Flags = {
     **network.DEVICE,
 }
 FLAGS = {"sam2": SAM2, "file": {}}
-"""Options of each kind of source."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

@@ -25,12 +25,6 @@ LEADS = ("next:", "also:")
 """Before the first step and before others."""
 
 
-def has_colors(stream: TextIO) -> bool:
-    """Whether it is a terminal that shows colours, and nobody asked for none (no-color.org)."""
-    none = os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
-    return not none and stream.isatty()
-
-
 def verdict_lines(
     verdicts: Mapping[str, Verdict], steps: Sequence[str], stream: TextIO | None = None
 ) -> list[str]:
@@ -74,8 +68,12 @@ def _wrapped(said: str, indent: str, stream: TextIO) -> str:
 def marked(level: Level, stream: TextIO, text: str) -> tuple[str, str]:
     """The disc of a level and a text, both in its colour."""
     red, green, blue = map(CUBE.index, MARKS[level].ink)
-    code = f"38;5;{16 + 36 * red + 6 * green + blue}"
-    return painted(_sign(level, stream), code, stream), painted(text, code, stream)
+    code, sign = f"38;5;{16 + 36 * red + 6 * green + blue}", MARKS[level].sign
+    try:
+        sign.encode(stream.encoding or "utf-8")
+    except UnicodeEncodeError:
+        sign = ASCII_SIGNS[level]
+    return painted(sign, code, stream), painted(text, code, stream)
 
 
 def columns_of(stream: TextIO) -> int | None:
@@ -84,14 +82,6 @@ def columns_of(stream: TextIO) -> int | None:
 
 
 def painted(text: str, code: str, stream: TextIO) -> str:
-    """A text in the colour of a code, where `stream` has colours."""
-    return f"\x1b[{code}m{text}\x1b[0m" if has_colors(stream) else text
-
-
-def _sign(level: Level, stream: TextIO) -> str:
-    sign = MARKS[level].sign
-    try:
-        sign.encode(stream.encoding or "utf-8")
-    except UnicodeEncodeError:
-        return ASCII_SIGNS[level]
-    return sign
+    """A text in the colour of a code, on a terminal whose user wants colours (no-color.org)."""
+    none = os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
+    return text if none or not stream.isatty() else f"\x1b[{code}m{text}\x1b[0m"

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from functools import reduce
 from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.io.color import encode_srgb
+from pbrfit.io.color import encode_srgb, over_channels
 
 ToneMap = Literal["none", "neutral"]
 """How radiance above white is shown: clipped, or by `neutral`."""
@@ -41,9 +40,9 @@ def neutral(radiance: NDArray[np.float64]) -> NDArray[np.float64]:
     is shown one to one, but for the 4 % of white that dielectrics mirror. Source: Khronos PBR
     Neutral Tone Mapper, 2024.
     """
-    least = reduce(np.minimum, np.moveaxis(radiance, -1, 0))[..., None]  # faster than along -1
+    least = over_channels(np.minimum, radiance)[..., None]
     color = radiance - np.where(least < 2 * FRESNEL, least - least**2 / (4 * FRESNEL), FRESNEL)
-    peak = reduce(np.maximum, np.moveaxis(color, -1, 0))[..., None]
+    peak = over_channels(np.maximum, color)[..., None]
     room = 1 - COMPRESSED_FROM
     lowered = 1 - room**2 / (np.maximum(peak, COMPRESSED_FROM) + room - COMPRESSED_FROM)
     grey = 1 - 1 / (DESATURATION * (peak - lowered) + 1)

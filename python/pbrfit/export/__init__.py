@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +58,6 @@ def _listed(folder: Path) -> list[str]:
 
 
 EXPORT_FOLDER = FolderForm(contains=(MANIFEST,), holds=(MANIFEST,), listed=_listed)
-"""Form of an export."""
 
 
 @dataclass(frozen=True)
@@ -180,9 +179,23 @@ def export_result(
         if "lp" in planned.formats or rti.one_lamp_a_picture(result.lamps, len(result.pictures)):
             put(f"lights/{rti.LP_FILE}", rti.lp(result).encode(), rti.LP_HOLDS, "unit vectors")
         panoramas = lights.write_lights(folder / "lights", result)
-        files += _light_files(folder, panoramas)
+        for name, holds in lights.FILES.items():
+            file = f"lights/{name}"
+            files.append(_file(folder, file, holds, "linear, Rec.709 primaries, D65"))
+        for light in panoramas:
+            holds = f"panorama of the light of {light.picture}"
+            holds += f"; lights differently by {light.difference:.2%}"
+            files.append(_file(folder, f"lights/{light.file}", holds, _LINEAR))
         _write_manifest(folder / MANIFEST, result, planned, files, displacement)
-    _warn_of_negative(Path(path), panoramas)
+    much = [light for light in panoramas if light.difference >= DIFFERENCE_WARNED]
+    if much:
+        worst = max(much, key=lambda light: light.difference)
+        log.warning(
+            "%s: %d of %d lights are so negative in places that panoramas light by %g %% or more "
+            "differently (%s by %.0f %%); lighting.json holds them as they are",
+            *(Path(path) / "lights", len(much), len(panoramas), 100 * DIFFERENCE_WARNED),
+            *(worst.picture, 100 * worst.difference),
+        )
     return Exported(tuple(files), panoramas)
 
 
@@ -218,7 +231,7 @@ def _write_png(
 ) -> Iterator[ExportedFile]:
     (folder / "png").mkdir()
     for texture in planned.textures:
-        bits = planned.bits_of(texture)
+        bits = planned.bits or texture.bits
         path = f"png/{texture.name}.png"
         values = maps.integers(texture, bits)
         images.write_png(folder / path, values, "srgb" if texture.color else "linear")
@@ -234,35 +247,6 @@ def _write_png(
 
 _LINEAR = "linear, Rec.709 primaries, D65; float32"
 _DATA = "data, linear; float32"
-
-
-def _light_files(folder: Path, panoramas: tuple[LightPanorama, ...]) -> Iterator[ExportedFile]:
-    for name, holds in lights.FILES.items():
-        yield _file(folder, f"lights/{name}", holds, "linear, Rec.709 primaries, D65")
-    for light in panoramas:
-        yield _file(
-            folder,
-            f"lights/{light.file}",
-            f"panorama of the light of {light.picture}; lights differently by "
-            f"{light.difference:.2%}",
-            _LINEAR,
-        )
-
-
-def _warn_of_negative(path: Path, panoramas: tuple[LightPanorama, ...]) -> None:
-    much = [light for light in panoramas if light.difference >= DIFFERENCE_WARNED]
-    if much:
-        worst = max(much, key=lambda light: light.difference)
-        log.warning(
-            "%s: %d of %d lights are so negative in places that panoramas light by %g %% or more "
-            "differently (%s by %.0f %%); lighting.json holds them as they are",
-            path / "lights",
-            len(much),
-            len(panoramas),
-            100 * DIFFERENCE_WARNED,
-            worst.picture,
-            100 * worst.difference,
-        )
 
 
 def _file(folder: Path, path: str, holds: str, color_space: str) -> ExportedFile:
@@ -288,7 +272,7 @@ def _write_manifest(
         ],
     }
     if result.uncertainty is not None:
-        content["verdicts"] = {name: one.as_json() for name, one in result.verdicts.items()}
+        content["verdicts"] = {name: asdict(one) for name, one in result.verdicts.items()}
     if displacement is not None:
         content["displacement"] = displacement.as_json()
     write_json(path, content)

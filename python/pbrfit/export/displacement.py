@@ -47,7 +47,14 @@ class Displacement:
         if result.height is not None:
             found = np.asarray(result.height, np.float64) / result.mask.shape[1]
         elif result.mask.size > 1:
-            found = _integrated(result)
+            depth = None if result.depth is None else np.where(result.mask, result.depth, np.nan)
+            if depth is not None and not np.isfinite(depth).any():
+                depth = None
+            given = result.normals, result.fov, result.mask, result.segments, depth
+            distances = depth_from_normals(*given).astype(np.float64)
+            middle = float(np.nanmedian(distances))
+            tangent = math.tan(math.radians(result.fov) / 2)
+            found = (middle - distances) / (2.0 if result.fov == 0 else 2 * middle * tangent)
         else:
             return None
         known = np.isfinite(found)
@@ -68,16 +75,3 @@ class Displacement:
         """What `export.json` holds under `displacement`."""
         unit = {"unit": "picture widths", "source": self.source}
         return unit | {"low": self.low, "high": self.high}
-
-
-def _integrated(result: Result) -> NDArray[np.float64]:
-    """(H, W): picture widths; NaN outside the mask."""
-    depth = None if result.depth is None else np.where(result.mask, result.depth, np.nan)
-    if depth is not None and not np.isfinite(depth).any():
-        depth = None
-    found = depth_from_normals(
-        result.normals, result.fov, result.mask, result.segments, depth
-    ).astype(np.float64)
-    middle = float(np.nanmedian(found))
-    width = 2.0 if result.fov == 0 else 2 * middle * math.tan(math.radians(result.fov) / 2)
-    return (middle - found) / width

@@ -25,19 +25,11 @@ _NORMAL = Texture("normal", NORMAL, bits=16)
 
 
 def glb(maps: Maps, fov: float, bits: Bits | None = None, geometry: Geometry = "card") -> bytes:
-    """Encode a result as a `.glb` file.
+    """Encode the maps of a result as a `.glb` file; `fov` horizontal, degrees, 0 = orthographic.
 
-    Parameters
-    ----------
-    maps
-        Of the result.
-    fov
-        Horizontal, degrees, 0 = orthographic.
-    bits
-        Of all textures; None: normals 16, the others 8.
-    geometry
-        "card": a rectangle; the normals are a texture, and pixels outside the mask cut out by
-        alpha. "facets": a rectangle for each pixel inside the mask, turned to its normal.
+    `bits` are of all textures; None: normals 16, the others 8. The geometry "card" is a rectangle;
+    the normals are a texture, and pixels outside the mask cut out by alpha. "facets": a rectangle
+    for each pixel inside the mask, turned to its normal.
     """
     from pbrfit import __version__
 
@@ -108,8 +100,14 @@ def glb(maps: Maps, fov: float, bits: Bits | None = None, geometry: Geometry = "
         "bufferViews": buffer.views,
         "buffers": [{"byteLength": len(buffer.content)}],
     }
-    text = json.dumps(document, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    return _container(text.encode(), bytes(buffer.content))
+    json_text = json.dumps(document, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    text = json_text.encode()
+    text += b" " * (-len(text) % 4)
+    chunks = b"".join(
+        struct.pack("<I4s", len(content), kind) + content
+        for kind, content in ((b"JSON", text), (b"BIN\0", buffer.content))
+    )
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
 
 class _Buffer:
@@ -157,13 +155,3 @@ def _primitive(buffer: _Buffer, mesh: ViewMesh) -> dict[str, Any]:
         _ELEMENT_ARRAY_BUFFER,
     )
     return {"attributes": attributes, "indices": indices, "material": 0}
-
-
-def _container(text: bytes, binary: bytes) -> bytes:
-    """Header and two chunks: JSON padded with spaces, the buffer with zeros."""
-    text += b" " * (-len(text) % 4)
-    chunks = b"".join(
-        struct.pack("<I4s", len(content), kind) + content
-        for kind, content in ((b"JSON", text), (b"BIN\0", binary))
-    )
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -100,10 +101,14 @@ class Maps:
         return np.stack([CHANNELS[name](self) for name in texture.channels], axis=-1)
 
 
-def _deviation(maps: Maps) -> NDArray[np.float64]:
+def _deviation(channel: int, maps: Maps) -> NDArray[np.float64]:
     assert maps.deviation is not None
-    return maps.deviation
+    return maps.deviation[..., channel]
 
+
+BASE_COLOR_DEVIATION = tuple(f"deviation of linear base color {c}" for c in "RGB")
+
+DEVIATIONS = (*BASE_COLOR_DEVIATION, "deviation of roughness", "deviation of metallic")
 
 CHANNELS: dict[str, Callable[[Maps], NDArray[np.float64]]] = {
     "base color R": lambda maps: maps.albedo[..., 0],
@@ -116,11 +121,7 @@ CHANNELS: dict[str, Callable[[Maps], NDArray[np.float64]]] = {
     "0.5 + 0.5 normal Y": lambda maps: 0.5 + 0.5 * maps.normals[..., 1],
     "0.5 − 0.5 normal Y": lambda maps: 0.5 - 0.5 * maps.normals[..., 1],
     "0.5 + 0.5 normal Z": lambda maps: 0.5 + 0.5 * maps.normals[..., 2],
-    "deviation of linear base color R": lambda maps: _deviation(maps)[..., 0],
-    "deviation of linear base color G": lambda maps: _deviation(maps)[..., 1],
-    "deviation of linear base color B": lambda maps: _deviation(maps)[..., 2],
-    "deviation of roughness": lambda maps: _deviation(maps)[..., 3],
-    "deviation of metallic": lambda maps: _deviation(maps)[..., 4],
+    **{name: partial(_deviation, c) for c, name in enumerate(DEVIATIONS)},
     "mask": lambda maps: maps.mask.astype(np.float64),
     "occlusion, none": lambda maps: np.ones(maps.mask.shape),
     "detail mask, none": lambda maps: np.zeros(maps.mask.shape),
@@ -128,7 +129,6 @@ CHANNELS: dict[str, Callable[[Maps], NDArray[np.float64]]] = {
 }
 """What a channel of a texture may hold: (H, W) in [0, 1]."""
 
-BASE_COLOR_DEVIATION = tuple(f"deviation of linear base color {c}" for c in "RGB")
 BASE_COLOR = ("base color R", "base color G", "base color B")
 GREEN: dict[NormalConvention, str] = {
     "opengl": "0.5 + 0.5 normal Y",

@@ -65,15 +65,13 @@ def mtlx(planned: Plan) -> str:
 
     surface = ET.SubElement(document, "standard_surface", name="surface", type="surfaceshader")
     _input(surface, "base", "float", "1")
-    _connected(surface, "base_color", "color3", "base_color")
-    _connected(surface, "metalness", "float", "metallic")
-    _connected(surface, "specular_roughness", "float", "roughness")
-    _connected(surface, "normal", "vector3", "normal")
     gltf = ET.SubElement(document, "gltf_pbr", name="gltf_surface", type="surfaceshader")
-    _connected(gltf, "base_color", "color3", "base_color")
-    _connected(gltf, "metallic", "float", "metallic")
-    _connected(gltf, "roughness", "float", "roughness")
-    _connected(gltf, "normal", "vector3", "normal")
+    of_surface, of_gltf = ("metalness", "specular_roughness"), ("metallic", "roughness")
+    for element, (metallic, roughness) in ((surface, of_surface), (gltf, of_gltf)):
+        _connected(element, "base_color", "color3", "base_color")
+        _connected(element, metallic, "float", "metallic")
+        _connected(element, roughness, "float", "roughness")
+        _connected(element, "normal", "vector3", "normal")
     if masked:
         _connected(surface, "opacity", "color3", "opacity_color")
         _connected(gltf, "alpha", "float", "opacity")

@@ -93,7 +93,6 @@ class Plan:
     """What an export writes, lights apart."""
 
     formats: tuple[Format, ...]
-    """One or more."""
     normals: NormalConvention
     """Convention of normal maps; that of glTF is fixed."""
     textures: tuple[Texture, ...]
@@ -104,10 +103,6 @@ class Plan:
     """Of glTF."""
     displacement: str = "displacement"
     """Name of the texture with the height."""
-
-    def bits_of(self, texture: Texture) -> Bits:
-        """Of an integer file of the texture."""
-        return self.bits or texture.bits
 
 
 def plan(

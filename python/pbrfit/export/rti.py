@@ -44,7 +44,6 @@ WEB_HOLDS = {
 }
 
 JPEG_QUALITY = 95
-"""Of planes."""
 
 DIRECTIONS = 50
 """Lights that coefficients are fitted to: five or more a coefficient."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from math import inf, isfinite
 from typing import Any
 
 import numpy as np
@@ -53,6 +54,16 @@ def real_number(name: str, value: Any, expected: str = "a number") -> float:
     with suppress(TypeError, ValueError, OverflowError):
         if not other:
             return float(value)
+    raise InputError(f"{name}: expected {expected}, found {of_what(value)}")
+
+
+def finite(
+    name: str, value: Any, expected: str = "a finite number", least: float = -inf, most: float = inf
+) -> float:
+    """As a finite float from `least` to `most`; `expected` is that in words."""
+    found = real_number(name, value, expected)
+    if isfinite(found) and least <= found <= most:
+        return found
     raise InputError(f"{name}: expected {expected}, found {of_what(value)}")
 
 

@@ -6,7 +6,7 @@ The working space is linear Rec.709 with white D65. Matrices are computed from c
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, reduce
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -63,6 +63,11 @@ ICC_D50 = np.array([0.9642, 1.0, 0.8249])
 _BRADFORD = np.array(
     [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
 )
+
+
+def over_channels(of: np.ufunc, values: NDArray[Any]) -> NDArray[Any]:
+    """(...): a function of two over the last axis of (..., C), faster than its own `reduce`."""
+    return reduce(of, np.moveaxis(values, -1, 0))
 
 
 def decode_srgb(encoded: ArrayLike) -> NDArray[np.float64]:

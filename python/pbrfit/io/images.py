@@ -371,22 +371,15 @@ def _load(path: str | os.PathLike[str], *, raw: bool = False) -> tuple[Path, byt
         if is_raw:
             kind = RAW if raw else None
         if kind is None:
-            expected = "a picture" if not head else "EXR, HDR, PNG, JPEG or TIFF"
-            raise InputError(f"{path}: expected {expected}, found {_guess(path, head, is_raw)}")
+            if not head:
+                raise InputError(f"{path}: expected a picture, found an empty file")
+            kinds = (of for start, of in _OTHERS.items() if re.match(start, head, re.DOTALL))
+            found = next((of.format(path) for of in kinds), f"a file that starts with {head[:8]!r}")
+            if is_raw:
+                found = f"a raw file: {raw_files.how_to_develop(path)}"
+            raise InputError(f"{path}: expected EXR, HDR, PNG, JPEG or TIFF, found {found}")
         data = content_of(file, path, PICTURE_BYTES)
     return path, data, kind
-
-
-def _guess(path: Path, head: bytes, is_raw: bool) -> str:
-    """Say what a file that is not read seems to be."""
-    if not head:
-        return "an empty file"
-    if is_raw:
-        return f"a raw file: {raw_files.how_to_develop(path)}"
-    for start, name in _OTHERS.items():
-        if re.match(start, head, re.DOTALL):
-            return name.format(path)
-    return f"a file that starts with {head[:8]!r}"
 
 
 def _raster(
@@ -394,8 +387,7 @@ def _raster(
 ) -> tuple[_core.Raster, radiance.Header | None]:
     """What a file other than EXR holds, or a page of it, and the header of an HDR file."""
     header = radiance.read(data)
-    plain = data if header is None else header.plain
-    return _core.decode_raster(plain, path, False, page), header
+    return _core.decode_raster(header.plain if header else data, path, False, page), header
 
 
 def _of_raster(

@@ -50,7 +50,6 @@ COLUMNS = ("picture", "x", "y", "z", "r", "g", "b", "kind")
 SYNONYMS = dict.fromkeys(("file", "filename", "image", "imagename", "name"), "picture") | {
     f"{before}{axis}": axis for before in ("l", "d", "light", "dir") for axis in "xyz"
 }
-"""What other tools call columns."""
 
 QUOTES = "\"'`´“”„‟‘’‚‛«»‹›"
 """Marks that writers of names with spaces put around them."""
@@ -109,7 +108,7 @@ def read_lamps(path: Path) -> tuple[list[LampRow], str]:
 
     Raises InputError if the file is of another form, or has vectors that are no directions.
     """
-    readers = {".lp": _of_lp, ".csv": _of_csv, ".txt": _of_txt}
+    readers = {".lp": _of_lp, ".csv": _of_csv, ".txt": _of_csv}
     readers |= dict.fromkeys((".json", ".relight"), _of_json)
     read = readers.get(path.suffix.lower())
     if read is None:
@@ -188,7 +187,9 @@ def _of_csv(path: Path) -> list[LampRow]:
     separator = told[1] if told else next(likely, ",")
     rows = [_cells(line, separator) for line in filter(_is_row, lines)]
     # A header may have the sign of a comment.
-    heads = [_columns(_cells(line.lstrip("# \t"), separator)) for line in lines[: first + 1]]
+    bare = (_cells(line.lstrip("# \t"), separator) for line in lines[: first + 1])
+    named = (",".join(re.sub(r"[\W_]", "", one.casefold()) for one in of) for of in bare)
+    heads = [tuple(SYNONYMS.get(n, n) for n in of.rstrip(",").split(",")) for of in named]
     header = next((head for head in heads if {"x", "y", "z"} <= set(head)), ())
     found, hint, wide = "", "", max(map(len, rows))
     if separator == "," and not any("." in cell for row in rows for cell in row[1:]):
@@ -211,30 +212,20 @@ def _of_csv(path: Path) -> list[LampRow]:
         if len(row) != len(header):
             found = f"expected {len(header)} values, found {len(row)}{hint}"
             raise InputError(f"{path}: lamp {i + 1}: {found}")
-    return _of_rows(path, header, rows)
-
-
-def _of_txt(path: Path) -> list[LampRow]:
-    rows = _of_csv(path)
+    lamps = _of_rows(path, header, rows)
     for beside in _names(path):
         names = [line.strip() for line in _lines(beside)]
-        if len(names) != len(rows):
-            expected = f"a name for each of the {len(rows)} lamps in {path.name}"
+        if len(names) != len(lamps):
+            expected = f"a name for each of the {len(lamps)} lamps in {path.name}"
             raise InputError(f"{beside}: expected {expected}, found {len(names)}")
-        rows = [replace(row, picture=name) for row, name in zip(rows, names, strict=True)]
-    return rows
+        lamps = [replace(lamp, picture=name) for lamp, name in zip(lamps, names, strict=True)]
+    return lamps
 
 
 def _cells(line: str, separator: str) -> list[str]:
     """Cells of a line of a table."""
     reader = csv.reader([line.strip(" ")], delimiter=separator, skipinitialspace=True)
     return [cell.strip() for cell in next(reader)]
-
-
-def _columns(cells: Sequence[str]) -> tuple[str, ...]:
-    """Columns that a header names, as of `COLUMNS` where they are such."""
-    names = ",".join(re.sub(r"[\W_]", "", cell.casefold()) for cell in cells).rstrip(",")
-    return tuple(SYNONYMS.get(name, name) for name in names.split(","))
 
 
 def _of_rows(path: Path, columns: Sequence[str], table: Sequence[Sequence[str]]) -> list[LampRow]:

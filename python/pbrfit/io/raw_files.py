@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -78,9 +78,15 @@ def develop(
         if clipped.shape == samples.shape and clipped.any():
             limits = converted(np.where(clipped, AT_LEAST, 0).astype(np.uint8), _matrix(raw))
         red, green, blue = raw.camera_whitebalance[:3]
-        taken = exif.read(_as_tiff(data), orientation)
+        # Some makers of files built like TIFF have other first bytes.
+        start = {b"II": b"II*\0", b"MM": b"MM\0*"}.get(data[:2], data[:4])
+        taken = exif.read(start + data[4:], orientation)
         if taken.focal_length_35mm is None:
-            of_thumb = exif.read(_exif_of_thumb(raw), orientation)
+            thumb = b""  # the JPEG that many raw files hold for a quick look
+            with suppress(Exception):  # there is none, or of a form that rawpy does not know
+                thumb = bytes(raw.extract_thumb().data[: 1 << 17])
+            found = re.search(rb"Exif\0\0(II\*\0|MM\0\*).*", thumb, re.DOTALL)
+            of_thumb = exif.read(found and found[0], orientation)
             taken = of_thumb if len(of_thumb.settings) > 1 else taken  # beside the orientation
     balance = "camera white balance"
     if green > 0:
@@ -144,18 +150,3 @@ def _matrix(raw: Any) -> NDArray[np.float64] | None:
             return None
         matrix = np.linalg.inv(to_camera / sums[:, None])
     return matrix
-
-
-def _as_tiff(data: bytes) -> bytes:
-    """The file with the first bytes of TIFF: some makers of files built like one have others."""
-    return {b"II": b"II*\0", b"MM": b"MM\0*"}.get(data[:2], data[:4]) + data[4:]
-
-
-def _exif_of_thumb(raw: Any) -> bytes | None:
-    """EXIF of the JPEG that many raw files hold for a quick look."""
-    try:
-        thumb = raw.extract_thumb()
-    except Exception:  # none, or of a form that rawpy does not know
-        return None
-    found = re.search(rb"Exif\0\0(II\*\0|MM\0\*).*", bytes(thumb.data[: 1 << 17]), re.DOTALL)
-    return found[0] if found else None

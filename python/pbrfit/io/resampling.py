@@ -42,6 +42,16 @@ def averaged_channels(image: NDArray[Any], size: tuple[int, int]) -> NDArray[np.
     return np.stack([averaged(image[..., c], size) for c in range(image.shape[-1])], axis=-1)
 
 
+def averaged_where(
+    image: NDArray[Any], used: NDArray[np.bool_], size: tuple[int, int]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Means (height, width, ...) over what is `used` of (H, W, ...), 0 without; its shares."""
+    planes = np.where(used[..., None], image.reshape(*used.shape, -1), 0)
+    total, share = averaged_channels(planes, size), averaged(used, size)
+    np.divide(total, share[..., None], out=total, where=share[..., None] > 0)
+    return total.reshape(*size, *image.shape[2:]), share
+
+
 def area_shares(old: int, new: int) -> csr_array[np.float64]:
     """(new, old): which share of a new pixel each old one has, along one side."""
     from scipy.sparse import csr_array

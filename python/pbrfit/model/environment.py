@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
 from pbrfit._core import InputError
-from pbrfit.io.checks import of_what, real_array, real_number
+from pbrfit.io.checks import finite, real_array
 from pbrfit.io.color import ColorSpace
 from pbrfit.lazy import lazy
 from pbrfit.model import panorama
@@ -68,11 +68,7 @@ class Environment:
                 f"shape {pixels.shape}"
             )
         object.__setattr__(self, "pixels", np.maximum(pixels, 0).astype(np.float32))
-        degrees = real_number("rotate", self.rotate, "a finite number of degrees")
-        if not math.isfinite(degrees):
-            raise InputError(
-                f"rotate: expected a finite number of degrees, found {of_what(degrees)}"
-            )
+        degrees = finite("rotate", self.rotate, "a finite number of degrees")
         object.__setattr__(self, "rotate", degrees)
 
     def __repr__(self) -> str:
@@ -112,14 +108,6 @@ class Environment:
         """(16, 3): the nearest SH light, damped until it is nowhere negative."""
         return rotated(self._projected, self.rotate)
 
-    def _radiance(self, pixels: tuple[Array, ...], threads: int, model: Model) -> Array:
-        """(P, 3) of normals, views, albedo, roughness and metallic, flat arrays of P pixels."""
-        normals, views, albedo, roughness, metallic = pixels
-        turn = math.radians(math.remainder(self.rotate, 360))
-        return self.blurred.radiance(
-            *(normals, views, albedo, roughness, metallic), turn, threads, model
-        )
-
 
 def render_environment(
     materials: Materials,
@@ -130,26 +118,14 @@ def render_environment(
     *,
     model: Model = DEFAULT_MODEL,
 ) -> Array:
-    """Radiance of a view under a panorama, with the full reflection model.
+    """Radiance (H, W, 3), linear Rec.709, of a view under a panorama, with the full model.
 
     What `render_directional` gives under every pixel of the panorama, by a sum of a few blurred
-    look-ups (docs/relight.md#panoramas has the errors). Never negative. Nothing casts a shadow.
-
-    Parameters
-    ----------
-    materials, normals, fov, threads, model
-        As for `render`.
-
-    Returns
-    -------
-    (H, W, 3) float64, linear Rec.709.
-
-    Raises
-    ------
-    InputError
-        If shapes do not fit together or a value is out of range.
+    look-ups (docs/relight.md#panoramas has the errors). Never negative. Nothing casts a shadow. All
+    else is as for `render`.
     """
     model = checked_model(model)
-    view = View.of_maps(materials, normals, fov)
-    radiance = environment._radiance(view.pixels, whole_number("threads", threads), model)
+    view, threads = View.of_maps(materials, normals, fov), whole_number("threads", threads)
+    turn = math.radians(math.remainder(environment.rotate, 360))
+    radiance = environment.blurred.radiance(*view.pixels, turn, threads, model)
     return np.asarray(view.pictures(radiance[None])[0])

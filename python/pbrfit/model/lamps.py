@@ -31,37 +31,23 @@ UNIT = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class Lamps:
-    """K lamps of N pictures.
-
-    Attributes
-    ----------
-    pictures
-        (K,) index of the picture that each lights, from 0; in rising order.
-    places
-        (K, 3), camera space (X right, Y up, Z towards the viewer): of far lamps the unit vector
-        from the scene to the lamp; of near ones where they are, in the unit of the scene's depth,
-        the camera at 0.
-    near
-        (K,) bool.
-    colors
-        (K, 3), linear Rec.709, 0 or more: radiance of a white diffuse surface that faces the lamp,
-        of near ones at a distance of 1. NaN = unknown.
-    axes, exponents
-        (K, 3) unit vectors and (K,): where near lamps shine, and how much they are gathered there;
-        an exponent of 0 = alike to all sides.
-
-    Raises
-    ------
-    InputError
-        If a shape does not fit or a value cannot be used; one line that names it.
-    """
+    """K lamps of N pictures; InputError if a shape does not fit or a value cannot be used."""
 
     pictures: NDArray[np.intp]
+    """(K,) index of the picture that each lights, from 0; in rising order."""
     places: Array
+    """(K, 3), camera space (X right, Y up, Z towards the viewer): of far lamps the unit vector from
+    the scene to the lamp; of near ones where they are, in the unit of the scene's depth, the camera
+    at 0."""
     near: NDArray[np.bool_] = field(default=None)  # type: ignore[arg-type]
+    """(K,) bool."""
     colors: Array = field(default=None)  # type: ignore[arg-type]
+    """(K, 3), linear Rec.709, 0 or more: radiance of a white diffuse surface that faces the lamp,
+    of near ones at a distance of 1. NaN = unknown."""
     axes: Array = field(default=None)  # type: ignore[arg-type]
     exponents: Array = field(default=None)  # type: ignore[arg-type]
+    """(K, 3) unit vectors and (K,): where near lamps shine, and how much they are gathered there;
+    an exponent of 0 = alike to all sides."""
 
     def __post_init__(self) -> None:
         pictures = np.asarray(self.pictures)
@@ -155,15 +141,14 @@ class Lamps:
 def lamps_of_rows(rows: Sequence[LampRow], pictures: Sequence[int]) -> Lamps:
     """Lamps of rows, each with the index of its picture, in any order."""
     order = np.argsort(np.array(pictures, np.intp), kind="stable")
-    sorted_rows = [rows[i] for i in order]
-    return Lamps(
-        np.array(pictures, np.intp)[order],
-        _vectors([row.place for row in sorted_rows]),
-        np.array([row.near for row in sorted_rows], bool),
-        _vectors([row.color for row in sorted_rows]),
-        _vectors([row.axis for row in sorted_rows]),
-        np.array([row.exponent for row in sorted_rows], np.float64),
+    rows = [rows[i] for i in order]
+    places, colors, axes = (
+        np.array([getattr(row, name) for row in rows], np.float64).reshape(-1, 3)
+        for name in ("place", "color", "axis")
     )
+    near = np.array([row.near for row in rows], bool)
+    exponents = np.array([row.exponent for row in rows], np.float64)
+    return Lamps(np.array(pictures, np.intp)[order], places, near, colors, axes, exponents)
 
 
 def rows_of_lamps(lamps: Lamps, names: Sequence[str]) -> list[LampRow]:
@@ -179,10 +164,6 @@ def rows_of_lamps(lamps: Lamps, names: Sequence[str]) -> list[LampRow]:
         )
         for i in range(len(lamps))
     ]
-
-
-def _vectors(rows: Sequence[Vector]) -> NDArray[np.float64]:
-    return np.array(rows, np.float64).reshape(-1, 3)
 
 
 def _vector(row: NDArray[np.float64]) -> Vector:

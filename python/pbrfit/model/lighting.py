@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pbrfit._core import InputError
-from pbrfit.io.checks import of_what, real_array, real_number
+from pbrfit.io.checks import finite, of_what, real_array
 from pbrfit.io.json_files import UNFIT, read_json, table, texts, unfit, write_json
 from pbrfit.io.lamp_files import LENGTH_OFF_MAX, row_as_json, rows_of_json, unit
 from pbrfit.io.quoting import quoted, shown
@@ -166,10 +166,7 @@ def rotated(coefficients: ArrayLike, degrees: float) -> NDArray[np.float64]:
         raise InputError(
             f"coefficients: expected finite lights (..., 16, 3), found {of_what(light)}"
         )
-    turn = real_number("degrees", degrees)
-    if not math.isfinite(turn):
-        raise InputError(f"degrees: expected a finite number, found {degrees}")
-    angle = math.radians(math.remainder(turn, 360))
+    angle = math.radians(math.remainder(finite("degrees", degrees), 360))
     back = np.array(
         [[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]]
     )

@@ -269,25 +269,9 @@ def render_directional(
     surface that faces it radiance 1, less what its Fresnel term takes from the diffuse part.
     Nothing casts a shadow. A mirror (roughness 0) does not show a light without extent.
 
-    Parameters
-    ----------
-    directions
-        (3,) or (N, 3) unit vectors from the surface to the lights.
-    colors
-        (3,) or (N, 3), linear Rec.709.
-    extents
-        () or (N,): angular radii of disks, radians, up to π/4; None = points. Disks widen lobes.
-    materials, normals, fov, threads, model
-        As for `render`.
-
-    Returns
-    -------
-    (H, W, 3) or (N, H, W, 3) float64, linear Rec.709.
-
-    Raises
-    ------
-    InputError
-        If shapes do not fit together or a value is out of range.
+    `directions` (3,) or (N, 3) are unit vectors from the surface to the lights, `colors` likewise,
+    linear Rec.709; `extents` () or (N,) angular radii of disks, radians, up to π/4, which widen
+    lobes; None = points. All else, and what is returned and raised, is as for `render`.
     """
     model = checked_model(model)
     to_lights = _array("directions", directions, (3,))
@@ -321,37 +305,20 @@ def render_lamps(
     visibility: ArrayLike | None = None,
     radius: float = 0.0,
 ) -> NDArray[np.float64]:
-    """Radiance of a view under the lamps of each picture, and ambient light.
+    """Radiance (N, H, W, 3) of a view under the lamps of each picture, and ambient light.
 
-    Of a lamp, what reaches a pixel, times π f_r (n·l); of ambient light what `render` gives.
+    Of a lamp, what reaches a pixel, times π f_r (n·l); of ambient light what `render` gives, as
+    which all else is.
 
-    Parameters
-    ----------
-    lamps
-        With known colours.
-    ambient
-        (N, 16, 3) SH light of the pictures, linear Rec.709; None = nothing, and N is as many as
-        lamps are of.
-    depth
-        (H, W) as of `geometry.positions`, in the unit of near lamps; None = all lamps are far.
-        Pixels without are NaN in pictures of near lamps.
-    visibility
-        (K, H, W), 0 to 1: how much of each of the K lamps reaches each pixel; None = all.
-    radius
-        Of near lamps, as spheres, in the unit of the depth. From nearer than √2 radii they are seen
-        as from there.
-    materials, normals, fov, threads, model
-        As for `render`.
+    `ambient` (N, 16, 3) is SH light of the pictures, linear Rec.709; None = nothing, and N is as
+    many as lamps are of. `depth` (H, W) is as of `geometry.positions`, in the unit of near lamps;
+    None = all lamps are far. Pixels without are NaN in pictures of near lamps. `visibility` (K, H,
+    W), 0 to 1, is how much of each of the K lamps reaches each pixel; None = all. `radius` is that
+    of near lamps, as spheres, in the unit of the depth; from nearer than √2 radii they are seen as
+    from there.
 
-    Returns
-    -------
-    (N, H, W, 3) float64, linear Rec.709.
-
-    Raises
-    ------
-    InputError
-        If shapes do not fit together, a value is out of range, a colour is unknown or lamps are
-        near and there is no depth.
+    Raises InputError if shapes do not fit together, a value is out of range, a colour is unknown or
+    lamps are near and there is no depth.
     """
     model, threads = checked_model(model), whole_number("threads", threads)
     if not lamps.colored:

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.resampling import averaged, reduced_size
+from pbrfit.io.resampling import averaged_where, reduced_size
 
 Field = NDArray[np.complex64]
 
@@ -38,6 +38,9 @@ REACH = 24
 
 TILE = 96
 """Side of the tiles that are compared by themselves, in pixels at that size."""
+
+NEARLY_ALL = 0.999
+"""Share of what is averaged that holds data, above which a mean does."""
 
 _TILE_REACH = 12
 _WEAK = 0.03  # s: gradients of the logarithm below this fade out
@@ -96,7 +99,8 @@ def edges(image: NDArray[Any], mask: NDArray[np.bool_] | None = None) -> Field:
         used &= mask
     grey = np.where(used, np.asarray(image).clip(0).mean(axis=-1), 0.0)
     if size != image.shape[:2]:
-        grey, used = averaged_used(grey, used, size)
+        grey, share = averaged_where(grey, used, size)
+        used = share > NEARLY_ALL
     if not used.any():
         return np.zeros(size, np.complex64)
     bright = np.quantile(grey[used], 0.97)
@@ -105,14 +109,6 @@ def edges(image: NDArray[Any], mask: NDArray[np.bool_] | None = None) -> Field:
     inside = binary_erosion(used, iterations=3, border_value=1)
     field = np.where(inside, g * g / (np.abs(g) ** 2 + _WEAK**2), 0)
     return field.astype(np.complex64)
-
-
-def averaged_used(
-    grey: NDArray[np.floating[Any]], used: NDArray[np.bool_], size: tuple[int, int]
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Means (h, w) over what is used of a plane, 0 elsewhere, and where that is nearly all."""
-    mean, share = averaged(grey, size), averaged(used.astype(np.float64), size)
-    return np.divide(mean, share, out=mean, where=share > 0), share > 0.999
 
 
 def of_the_others(fields: Sequence[Field]) -> list[Field]:

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.resampling import averaged_channels
+from pbrfit.io.resampling import averaged_channels, averaged_where
 from pbrfit.registration import alignment
 from pbrfit.scene.scene import Scene
 
@@ -130,8 +130,11 @@ class Level:
         middle = self._inner(self._places)
         y, x = from_middle(middle, size)
         self._ones_y_x = np.stack([np.ones(len(y)), y, x])
-        normals = np.nan_to_num(np.moveaxis(pictures.normals(size)[tuple(self._places)], -1, 0))
-        self._harmonics = _harmonics(normals).astype(np.float32)
+        n = np.nan_to_num(np.moveaxis(pictures.normals(size)[tuple(self._places)], -1, 0))
+        # Polynomials that span the harmonics up to order 2: (9, n, h, w).
+        squares = n[0] * n[0] - n[1] * n[1], 3 * n[2] * n[2] - 1
+        basis = [np.ones_like(n[0]), *n, n[0] * n[1], n[0] * n[2], n[1] * n[2], *squares]
+        self._harmonics = np.stack(basis).astype(np.float32)
         cut = [self._cut(i, None) for i in range(pictures.count)]
         self._values = np.stack([values for values, _ in cut])
         self._used = np.stack([used for _, used in cut])
@@ -205,44 +208,21 @@ class Level:
             sigma = 1.4826 * float(np.median(np.abs(residual)))
             weights = scale**2 / (1 + (residual / (_CAUCHY * max(sigma, 1e-9))) ** 2)
         by_basis = np.linalg.solve(matrix[:count, :count], matrix[:count, count:])
-        from_basis = known[count:] - by_basis.T @ known[:count]
-        return self._judged(from_basis, factors[count:], weights, residual / scale, used, scale)
-
-    def _common(self, i: int, others: Sequence[int]) -> tuple[list[int], NDArray[np.bool_]]:
-        """The others that have pixels in common with picture i, and which these are."""
-        own, kept = self._used[i], sorted(others)
-        used = own & self._used[kept].all(axis=0)
-        while len(kept) > 2 and np.count_nonzero(used) < LEAST_COMMON * np.count_nonzero(own):
-            kept.remove(min(kept, key=lambda j: int(np.count_nonzero(own & self._used[j]))))
-            used = own & self._used[kept].all(axis=0)
-        return kept, used
-
-    def _judged(
-        self,
-        moves: Array,
-        found: Array,
-        weights: Array,
-        residual: Array,
-        used: NDArray[np.bool_],
-        scale: Array,
-    ) -> Fit | None:
-        """How much a displacement explains.
-
-        `moves` (6, P) is what its parts, `found` (6,), change that the basis does not explain.
-        """
-        unmoved = residual + found @ moves
+        # What the parts of the displacement change that the basis does not explain.
+        moves, found = known[count:] - by_basis.T @ known[:count], factors[count:]
+        unmoved = residual / scale + found @ moves
         weighted = moves * weights
         unexplained = np.full(len(used), np.nan)
         unexplained[used] = unmoved * scale
-        matrix, slope = weighted @ moves.T, weighted @ unmoved
+        matrix, by_moves = weighted @ moves.T, weighted @ unmoved
         ridge = 1e-9 * np.trace(matrix)
         if not ridge > 0:
             return None
         matrix[np.diag_indices(6)] += ridge
         shift, alone = [0, 3], np.zeros(6)
-        alone[shift] = np.linalg.solve(matrix[np.ix_(shift, shift)], slope[shift])
+        alone[shift] = np.linalg.solve(matrix[np.ix_(shift, shift)], by_moves[shift])
         squares = float(weights @ unmoved**2) or 1.0
-        gains = float(slope @ alone), float(slope @ found)
+        gains = float(by_moves @ alone), float(by_moves @ found)
         return Fit(
             shift=Estimate(
                 affine=self.pixel * alone.reshape(2, 3),
@@ -256,6 +236,15 @@ class Level:
             ),
             unexplained=unexplained,
         )
+
+    def _common(self, i: int, others: Sequence[int]) -> tuple[list[int], NDArray[np.bool_]]:
+        """The others that have pixels in common with picture i, and which these are."""
+        own, kept = self._used[i], sorted(others)
+        used = own & self._used[kept].all(axis=0)
+        while len(kept) > 2 and np.count_nonzero(used) < LEAST_COMMON * np.count_nonzero(own):
+            kept.remove(min(kept, key=lambda j: int(np.count_nonzero(own & self._used[j]))))
+            used = own & self._used[kept].all(axis=0)
+        return kept, used
 
     def rms(self, affine: Array) -> float:
         """Root mean square length of a displacement (2, 3) over the pixels."""
@@ -280,12 +269,6 @@ def _windows(length: int, count: int, side: int) -> NDArray[np.intp]:
     return starts[:, None] + np.arange(side)
 
 
-def _harmonics(normals: Array) -> Array:
-    """(9, ...) polynomials that span the harmonics up to order 2, of normals (3, ...)."""
-    x, y, z = normals
-    return np.stack([np.ones_like(x), x, y, z, x * y, x * z, y * z, x * x - y * y, 3 * z * z - 1])
-
-
 class Greys:
     """Grey pictures of a scene at any size, and where they hold data."""
 
@@ -298,27 +281,24 @@ class Greys:
         """Picture i of a size (h, w); 0 where it holds no data."""
         if (i, size) in self._kept:
             return self._kept[i, size]
-        if size == self.shape:
-            found = self._full(i)
+        if size != self.shape:
+            small, share = averaged_where(*self.of(i, self.shape), size)
+            grey, used = small.astype(np.float32), share > alignment.NEARLY_ALL
         else:
-            small, used = alignment.averaged_used(*self.of(i, self.shape), size)
-            found = small.astype(np.float32), used
+            scene, image = self._scene, self._scene.images[i]
+            grey = (image[..., 0] + image[..., 1] + image[..., 2]).astype(np.float32)
+            used = np.isfinite(grey)
+            if scene.mask is not None:
+                used &= scene.mask
+            for c in range(3):  # one after the other: an axis of three is slow to go along
+                if scene.weights is not None:
+                    used &= scene.weights[i, ..., c] > 0
+                if scene.limits is not None:
+                    used &= scene.limits[i, ..., c] == 0
+            grey = np.where(used, grey, np.float32(0))
         if size[0] * size[1] <= _KEPT_PIXELS:
-            self._kept[i, size] = found
-        return found
-
-    def _full(self, i: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        scene, image = self._scene, self._scene.images[i]
-        grey = (image[..., 0] + image[..., 1] + image[..., 2]).astype(np.float32)
-        used = np.isfinite(grey)
-        if scene.mask is not None:
-            used &= scene.mask
-        for c in range(3):  # one after the other: an axis of three is slow to go along
-            if scene.weights is not None:
-                used &= scene.weights[i, ..., c] > 0
-            if scene.limits is not None:
-                used &= scene.limits[i, ..., c] == 0
-        return np.where(used, grey, np.float32(0)), used
+            self._kept[i, size] = grey, used
+        return grey, used
 
     def normals(self, size: tuple[int, int]) -> NDArray[np.floating[Any]]:
         """(h, w, 3); NaN or 0 where there are none."""

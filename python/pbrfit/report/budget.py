@@ -46,11 +46,6 @@ class Fitted(Generic[T]):
     side: int
 
 
-def of_base64(length: int) -> int:
-    """Letters that so many bytes take in a page."""
-    return -(-length // 3) * 4
-
-
 def sides_for(longer: int, sides: Sequence[int]) -> list[int]:
     """Sides that make sense for a picture: its own where it is smaller than the largest."""
     return [min(longer, sides[0]), *(side for side in sides[1:] if side < min(longer, sides[0]))]

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pbrfit.io.color import encode_srgb
 from pbrfit.report.html import in_base64, png_address
 from pbrfit.result import differences
 from pbrfit.result.differences import PALETTE
@@ -75,11 +76,6 @@ def range_key(what: str, ticks: Mapping[float, str]) -> str:
     return _key(what, ", ".join(map(css, colors)), ticks, {})
 
 
-def outside_patch() -> str:
-    """What pixels outside the mask look like."""
-    return '<span class="patch outside"></span> outside the mask'
-
-
 def _key(what: str, stops: str, ticks: Mapping[float, str], patches: Mapping[str, str]) -> str:
     # Labels at the ends of the bar do not stick out of it.
     ends = {0.0: ' class="first"', 1.0: ' class="last"'}
@@ -108,3 +104,8 @@ def css(color: np.ndarray) -> str:
     """A colour (3,), sRGB in [0, 1], for a style sheet."""
     red, green, blue = np.rint(255 * color).astype(int).tolist()
     return f"#{red:02x}{green:02x}{blue:02x}"
+
+
+def css_of_light(color: Sequence[float]) -> str:
+    """A colour (3,), linear in [0, 1], for a style sheet."""
+    return css(encode_srgb(np.array(color)))

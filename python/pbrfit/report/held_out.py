@@ -9,7 +9,6 @@ from pbrfit.report.notation import percent
 from pbrfit.result.result import Result
 
 ANCHOR = "choice"
-"""Anchor of the section."""
 
 
 def sentence(result: Result) -> str:

@@ -78,16 +78,6 @@ def _aligned(scene: Scene) -> list[tuple[str, str]]:
     return [("aligned", said[0]), *(("", one) for one in said[1:])]
 
 
-def _normal_sigma(scene: Scene) -> str:
-    """Standard deviation of the given normals."""
-    if not scene.normals_known:
-        return "none given"
-    if scene.normal_sigma is None:
-        return "unknown"
-    middle, high = np.percentile(scene.normal_sigma[scene.valid], [50, 95])
-    return f"{middle:.1f} degrees (median), {high:.1f} (95 %), from {UNCERTAINTY}"
-
-
 def _depth(scene: Scene) -> str:
     """What the depth is like, and how it goes with the normals."""
     if scene.depth is None:
@@ -142,10 +132,13 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
         looked = f"; values are of their means over {scene.width} × {scene.height}"
     each = map(scene.samples, range(len(scene.images)))
     mean, low, high = np.transpose([(one.mean(dtype=float), one.min(), one.max()) for one in each])
-    away = "unknown: no normals are given"
+    away, error = "unknown: no normals are given", "none given"
     if scene.normals_known:
         facing = geometry.facing_away(scene.normals[scene.valid], scene.views[scene.valid])
-        away = f"{100 * facing.mean():.1f} % of the normals"
+        away, error = f"{100 * facing.mean():.1f} % of the normals", "unknown"
+    if scene.normals_known and scene.normal_sigma is not None:
+        middle, most = np.percentile(scene.normal_sigma[scene.valid], [50, 95])
+        error = f"{middle:.1f} degrees (median), {most:.1f} (95 %), from {UNCERTAINTY}"
     from pbrfit.fit.given import contradiction  # here: it needs scipy, which takes long to import
 
     found = [
@@ -154,7 +147,7 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
         ("radiance", f"mean {mean.mean():.4g}, from {low.min():.4g} to {high.max():.4g}"),
         ("mask", f"{layout.pixels} pixels used, {100 * scene.valid.mean():.1f} %"),
         ("facing away", away),
-        ("normal error", _normal_sigma(scene)),
+        ("normal error", error),
         ("depth", _depth(scene)),
         ("surroundings", _surroundings(scene)),
         ("refine normals", f"not possible: {reason}" if reason else "possible"),

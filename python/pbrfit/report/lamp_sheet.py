@@ -34,7 +34,6 @@ class ShownBalls:
     picture: NDArray[np.floating[Any]]
     """(H, W, 3), linear Rec.709: the mean of all pictures."""
     balls: Sequence[Ball]
-    """Their circles."""
     highlights: NDArray[np.float64]
     """(K, B, 2): x and y of what each lamp makes on each ball, NaN where that is not seen."""
     what: str
@@ -79,6 +78,7 @@ def _short(name: str) -> str:
 def _draw_balls(axes: Axes, labels: Sequence[str], shown: ShownBalls) -> None:
     """The picture around the balls, their circles and what the lamps make there."""
     from matplotlib.patches import Circle
+    from matplotlib.patheffects import withStroke
 
     finite = np.nan_to_num(shown.picture, posinf=0.0, neginf=0.0)
     axes.imshow(metrics.display(finite, metrics.white_of(finite)), interpolation="nearest")
@@ -101,7 +101,7 @@ def _draw_balls(axes: Axes, labels: Sequence[str], shown: ShownBalls) -> None:
                     textcoords="offset points",
                     fontsize=7,
                     color="white",
-                    path_effects=_outlined(),
+                    path_effects=[withStroke(linewidth=1.8, foreground=BLACK)],
                     in_layout=False,
                 )
     middle = np.array([[ball.x, ball.y] for ball in shown.balls])
@@ -111,16 +111,8 @@ def _draw_balls(axes: Axes, labels: Sequence[str], shown: ShownBalls) -> None:
     height, width = shown.picture.shape[:2]
     axes.set_xlim(max(left, -0.5), min(right, width - 0.5))
     axes.set_ylim(min(bottom, height - 0.5), max(top, -0.5))
-    axes.set_title(f"ball (+ and circle), {shown.what} (rings)")
-    axes.set_xlabel("x [pixels]")
-    axes.set_ylabel("y [pixels]")
-
-
-def _outlined() -> list[Any]:
-    """Letters with a dark edge."""
-    from matplotlib.patheffects import withStroke
-
-    return [withStroke(linewidth=1.8, foreground=BLACK)]
+    title = f"ball (+ and circle), {shown.what} (rings)"
+    axes.set(title=title, xlabel="x [pixels]", ylabel="y [pixels]")
 
 
 def draw_directions(
@@ -170,11 +162,6 @@ def draw_directions(
     if len(places):
         axes.legend(loc="upper right", fontsize=8)
     room = 1.12 * largest
-    axes.set_xlim(-room, room)
-    axes.set_ylim(-room, room)
-    axes.set_aspect("equal")
-    axes.set_title("lamps by angle to the viewer (+)")
-    axes.set_xlabel("← left · right (X) →")
-    axes.set_ylabel("← down · up (Y) →")
-    axes.set_xticks([])
-    axes.set_yticks([])
+    axes.set(xlim=(-room, room), ylim=(-room, room), aspect="equal", xticks=[], yticks=[])
+    axes.set(xlabel="← left · right (X) →", ylabel="← down · up (Y) →")
+    axes.set(title="lamps by angle to the viewer (+)")

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.color import encode_srgb
 from pbrfit.report import figures, lamp_sheet
 from pbrfit.report.html import Cell, Table, heads, number, paragraph, table
 from pbrfit.report.lights import LUMINANCE
-from pbrfit.report.notation import percent, plain
+from pbrfit.report.notation import angle, percent, plain
 from pbrfit.result.drawing import new_figure
 from pbrfit.result.result import Result
 
@@ -79,11 +78,6 @@ def section(result: Result) -> str:
             f'<div class="plans">{drawn}</div><details class="numbers-of-all"><summary>'
             f"All {len(result.lamps)} lamps in numbers</summary>{table(numbers)}</details>"
         )
-    return paragraph(_sentences(result)) + shown
-
-
-def _sentences(result: Result) -> str:
-    assert result.lamps is not None
     text = (
         f"The pictures are lit by {result.lamps.in_words()}, and by ambient light. The map "
         "has the directions to the lamps as the surface sees them: the middle is the viewer, and "
@@ -91,7 +85,7 @@ def _sentences(result: Result) -> str:
     )
     if result.lamps.near.any():
         text += "Near lamps are seen from the middle of the surface. "
-    return text
+    return paragraph(text) + shown
 
 
 def _table(result: Result, of_pictures: Sequence[Sequence[Seen]]) -> Table:
@@ -100,9 +94,12 @@ def _table(result: Result, of_pictures: Sequence[Sequence[Seen]]) -> Table:
     rows = []
     for i, lamps in enumerate(of_pictures):
         ambient = float(result.lighting[i, 0] @ LUMINANCE) / (2 * math.sqrt(math.pi))
-        for k, lamp in enumerate(lamps or [None]):
-            first = [number(str(i + 1)), Cell(result.pictures[i])] if k == 0 else [Cell("")] * 2
-            rows.append([*first, *_cells(lamp, near), *_ambient(lamps, ambient, first=k == 0)])
+        whole = ambient + sum(lamp.strength for lamp in lamps)
+        share = ambient / whole if whole > 0 else 0.0
+        first = lamps[0] if lamps else None
+        last = number(percent(share).replace("-", "−"), share)
+        rows.append([number(str(i + 1)), Cell(result.pictures[i]), *_cells(first, near), last])
+        rows += [[Cell(""), Cell(""), *_cells(lamp, near), number("")] for lamp in lamps[1:]]
     unit = ", and distances in that of the depth" if near else ""
     caption = (
         "Azimuth 0 is the viewer, positive to the right; elevation is up. Strength: radiance of a "
@@ -117,24 +114,14 @@ def _cells(lamp: Seen | None, near: bool) -> Iterator[Cell]:
     if lamp is None:
         yield from [number("no lamp"), *[number("")] * (4 if near else 3)]
         return
-    yield number(_degrees(lamp.azimuth), lamp.azimuth)
-    yield number(_degrees(lamp.elevation), lamp.elevation)
+    yield number(angle(lamp.azimuth), lamp.azimuth)
+    yield number(angle(lamp.elevation), lamp.elevation)
     if near:
         far = lamp.distance is None
         yield number("far" if far else plain(lamp.distance or 0.0), lamp.distance)
     yield number(plain(lamp.strength), lamp.strength)
-    color = figures.css(encode_srgb(np.array(lamp.color)))
+    color = figures.css_of_light(lamp.color)
     yield Cell(", ".join(f"{part:.2f}" for part in lamp.color), "number", color=color)
-
-
-def _ambient(lamps: Sequence[Seen], ambient: float, *, first: bool) -> Iterator[Cell]:
-    whole = ambient + sum(lamp.strength for lamp in lamps)
-    share = ambient / whole if whole > 0 else 0.0
-    yield number(percent(share).replace("-", "−"), share) if first else number("")
-
-
-def _degrees(angle: float) -> str:
-    return f"{round(angle)}°".replace("-", "−")
 
 
 def _map(of_pictures: Sequence[Sequence[Seen]]) -> str:

@@ -8,15 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.color import encode_srgb
 from pbrfit.model import panorama
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model, render
 from pbrfit.report import raster
-from pbrfit.report.maps import ball_normals
+from pbrfit.report.maps import BALL_SIDE, ball_normals
 from pbrfit.result import metrics
 
-BALL_SIDE = 96
 PANORAMA_HEIGHT = 96
 GAP = 8
 
@@ -89,19 +87,15 @@ def balls_and_panorama(
     dark = radiance @ LUMINANCE < 0
     shown = np.where(dark[..., None], hatching[..., None], shown)
     _ring(shown, light)
-    return _balls(coefficients, white, model), shown
-
-
-def _balls(coefficients: NDArray[np.float64], white: float, model: Model) -> NDArray[np.float64]:
-    """A matt white ball beside a mirror."""
+    # A matt white ball beside a mirror.
     ball = ball_normals(BALL_SIDE)
-    gap = np.full((BALL_SIDE, GAP, 3), np.nan)
-    normals = np.concatenate([ball, gap, ball], axis=1)
-    shape = normals.shape[:2]
-    mirror = np.zeros(shape)
+    normals = np.concatenate([ball, np.full((BALL_SIDE, GAP, 3), np.nan), ball], axis=1)
+    mirror = np.zeros(normals.shape[:2])
     mirror[:, BALL_SIDE:] = 1.0
-    materials = Materials(np.ones((*shape, 3)), np.where(mirror > 0, MIRROR_ROUGHNESS, 1.0), mirror)
-    return metrics.display(render(materials, normals, coefficients, 0.0, model=model), white)
+    roughness = np.where(mirror > 0, MIRROR_ROUGHNESS, 1.0)
+    materials = Materials(np.ones(normals.shape), roughness, mirror)
+    balls = render(materials, normals, coefficients, 0.0, model=model)
+    return metrics.display(balls, white), shown
 
 
 def _ring(shown: NDArray[np.float64], light: Light) -> None:
@@ -125,9 +119,3 @@ def pngs(coefficients: NDArray[np.float64], light: Light, model: Model) -> tuple
 
 BALLS_SIZE = (BALL_SIDE, 2 * BALL_SIDE + GAP)
 PANORAMA_SIZE = (PANORAMA_HEIGHT, 2 * PANORAMA_HEIGHT)
-
-
-def swatch(light: Light) -> str:
-    """The light's colour at full brightness, for a style sheet."""
-    codes = np.rint(255 * encode_srgb(np.array(light.color))).astype(int).tolist()
-    return "#" + "".join(f"{code:02x}" for code in codes)

@@ -107,19 +107,15 @@ def _recovered(result: Result) -> Block:
     outside = ""
     if not result.mask.all():
         mask = result.mask.astype(np.float64)
-        pictures.append(
-            Shown(
-                lambda side: raster.picture_png(raster.reduced(mask, side)),
-                "mask",
-                f"white = fitted, {100 * mask.mean():.3g} % of the pixels",
-                "Mask of the pixels that were fitted",
-            )
-        )
-        outside = f'<span class="mark">{figures.outside_patch()}</span>'
-    ball = figures.picture(*_ball(), "Key to the normals: a ball")
+        remark = f"white = fitted, {100 * mask.mean():.3g} % of the pixels"
+        shown = Shown(_grey(mask), "mask", remark, "Mask of the pixels that were fitted")
+        pictures.append(shown)
+        outside = '<span class="mark"><span class="patch outside"></span> outside the mask</span>'
+    ball = raster.picture_png(0.5 + 0.5 * ball_normals(BALL_SIDE))
+    shown_ball = figures.picture(ball, (BALL_SIDE, BALL_SIDE), "Key to the normals: a ball")
     key = (
         f'<div class="keys">{figures.grey_key("roughness and metallic")}'
-        f'<div class="key ball">{ball}<span>normals on a ball: '
+        f'<div class="key ball">{shown_ball}<span>normals on a ball: '
         f"red to the right, green up, blue towards the viewer</span></div>{outside}</div>"
     )
     text = paragraph(
@@ -236,9 +232,8 @@ def _maps(materials: Materials, which: str, remarks: Mapping[str, str]) -> Itera
         f"Map of the {which} albedo",
     )
     for name in PARAMETERS[1:]:
-        yield Shown(
-            _grey(getattr(materials, name)), name, remarks[name], f"Map of the {which} {name}"
-        )
+        drawn = _grey(getattr(materials, name))
+        yield Shown(drawn, name, remarks[name], f"Map of the {which} {name}")
 
 
 def normals_shown(normals: NDArray[np.float64], title: str, remark: str) -> Shown:
@@ -264,12 +259,6 @@ def _differences(
 def difference_shown(difference: Difference) -> Draw:
     """A map of differences in its colours."""
     return lambda side: raster.difference_png(raster.reduced_difference(difference, side))
-
-
-def _ball() -> tuple[bytes, tuple[int, int]]:
-    """Normals of a ball as PNG, and its size."""
-    normals = ball_normals(BALL_SIDE)
-    return raster.picture_png(0.5 + 0.5 * normals), normals.shape[:2]
 
 
 def ball_normals(side: int) -> NDArray[np.float64]:

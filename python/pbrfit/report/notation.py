@@ -32,6 +32,11 @@ def percent(share: float) -> str:
     return f"<{space}0.001{space}%" if 0 < share < 1e-5 else f"{plain(100 * share)}{space}%"
 
 
+def angle(degrees: float) -> str:
+    """Write an angle in whole degrees, with the sign for minus: −37°."""
+    return f"{round(degrees)}°".replace("-", "−")
+
+
 def band(index: int) -> str:
     """Name a band weight: h₃."""
     return f"h{index}".translate(_SUBSCRIPT)

@@ -24,16 +24,8 @@ from pbrfit.report import (
 )
 from pbrfit.report import lights as of_lights
 from pbrfit.report import pictures as of_pictures
-from pbrfit.report.html import (
-    Cell,
-    Table,
-    document,
-    heads,
-    number,
-    paragraph,
-    table,
-)
-from pbrfit.report.notation import percent, plain
+from pbrfit.report.html import Cell, Table, document, heads, number, paragraph, table
+from pbrfit.report.notation import angle, percent, plain
 from pbrfit.report.originals import Originals
 from pbrfit.report.pictures import Picture
 from pbrfit.result import differences
@@ -203,8 +195,15 @@ def _size_remark(what: str, side: int, result: Result) -> str:
 
 
 def _pictures(originals: Originals, pictures: Sequence[Picture], chosen: _Chosen) -> str:
-    parts = [_how_many(pictures, chosen)]
-    scene = originals.scene
+    height, width = chosen.size
+    shown, count = len(chosen.pictures), len(pictures)
+    text = f"{width} × {height} pixels each."
+    if shown < count:
+        text = (
+            f"{shown} of {count} pictures are shown, evenly spread, and {count - shown} left out, "
+            f"to keep the page small. {text}"
+        )
+    parts, scene = [paragraph(text, "note")], originals.scene
     if scene is None:
         parts.append(paragraph(originals.remark))
         parts.append(paragraph("White is the 98th percentile of each reconstruction.", "note"))
@@ -222,18 +221,6 @@ def _pictures(originals: Originals, pictures: Sequence[Picture], chosen: _Chosen
         title = f"Residuals of all {len(pictures)} pictures"
         parts.append(_numbers(title, of_pictures.table(pictures)))
     return "".join(parts)
-
-
-def _how_many(pictures: Sequence[Picture], chosen: _Chosen) -> str:
-    height, width = chosen.size
-    shown, count = len(chosen.pictures), len(pictures)
-    text = f"{width} × {height} pixels each."
-    if shown < count:
-        text = (
-            f"{shown} of {count} pictures are shown, evenly spread, and {count - shown} left out, "
-            f"to keep the page small. {text}"
-        )
-    return paragraph(text, "note")
 
 
 def _how_to_read(pictures: Sequence[Picture]) -> str:
@@ -291,15 +278,11 @@ def _light(one: Picture) -> str:
     ) + figures.picture(radiance, of_lights.PANORAMA_SIZE, f"Panorama of the light of {one.name}")
     light = one.light
     remark = (
-        f"from azimuth {_degrees(light.azimuth)}, elevation {_degrees(light.elevation)}; "
+        f"from azimuth {angle(light.azimuth)}, elevation {angle(light.elevation)}; "
         f"negative {percent(light.negative)}"
     )
-    color = f'<span class="patch" style="background:{of_lights.swatch(light)}"></span>'
+    color = f'<span class="patch" style="background:{figures.css_of_light(light.color)}"></span>'
     return figures.figure(f'<div class="light">{content}{color}</div>', one.name, remark)
-
-
-def _degrees(angle: float) -> str:
-    return f"{round(angle)}°".replace("-", "−")
 
 
 def _light_table(pictures: Sequence[Picture]) -> Table:
@@ -308,8 +291,8 @@ def _light_table(pictures: Sequence[Picture]) -> Table:
         [
             Cell(one.name),
             number(plain(one.light.mean), one.light.mean),
-            number(_degrees(one.light.azimuth), one.light.azimuth),
-            number(_degrees(one.light.elevation), one.light.elevation),
+            number(angle(one.light.azimuth), one.light.azimuth),
+            number(angle(one.light.elevation), one.light.elevation),
             number(percent(one.light.directed), one.light.directed),
             number(", ".join(f"{part:.2f}" for part in one.light.color)),
             number(percent(one.light.negative), one.light.negative),
@@ -356,40 +339,30 @@ def _stages(result: Result) -> str:
 def _origin(result: Result) -> str:
     from pbrfit import __version__
 
-    parts = [_list("Assumptions", result.assumed)]
+    parts = [f"<h3>Assumptions</h3>{_list(result.assumed)}"] if result.assumed else []
     if result.left_out:
         items = "".join(f"<li>{escape(line)}</li>" for line in result.left_out)
         parts.append(f"<h3>Left out</h3><ul>{items}</ul>")
     options = {name: json.dumps(value) for name, value in asdict(result.options).items()}
-    parts.append(_folded("Options", _list("", options)))
+    parts.append(_folded("Options", _list(options)))
     if result.inputs:
         rows = [(Cell(name), Cell(digest, "hash")) for name, digest in result.inputs.items()]
         files = table(Table((Cell("file"), Cell("SHA-256")), rows))
         parts.append(_folded(f"Input files ({len(result.inputs)})", files))
-    parts.append("<h3>Conventions</h3>")
-    parts.append(
-        paragraph(
-            "Camera space has X to the right, Y up, Z towards the viewer. Colours are linear "
-            "Rec.709 with white D65, except as pictures on this page, which have the sRGB curve."
-        )
+    conventions = (
+        "Camera space has X to the right, Y up, Z towards the viewer. Colours are linear "
+        "Rec.709 with white D65, except as pictures on this page, which have the sRGB curve.",
+        "Lights are real spherical harmonics without Condon–Shortley phase up to l = 3, index "
+        "l(l+1)+m, and point from the surface to where light comes from.",
+        REFLECTION[result.model],
     )
-    parts.append(
-        paragraph(
-            "Lights are real spherical harmonics without Condon–Shortley phase up to l = 3, index "
-            "l(l+1)+m, and point from the surface to where light comes from."
-        )
-    )
-    parts.append(paragraph(REFLECTION[result.model]))
+    parts += ["<h3>Conventions</h3>", *map(paragraph, conventions)]
     parts.append(paragraph(f"Errors: {PROTOCOL}. Page written by pbrfit {__version__}.", "note"))
     return "".join(parts)
 
 
-def _list(title: str, entries: Mapping[str, str]) -> str:
-    if not entries:
-        return ""
-    heading = f"<h3>{escape(title)}</h3>" if title else ""
-    rows = [(Cell(name, "name"), Cell(text)) for name, text in entries.items()]
-    return heading + table(Table((), rows))
+def _list(entries: Mapping[str, str]) -> str:
+    return table(Table((), [(Cell(name, "name"), Cell(text)) for name, text in entries.items()]))
 
 
 def _numbers(title: str, content: Table) -> str:

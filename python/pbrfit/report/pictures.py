@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.report import budget, lights, raster
+from pbrfit.report import lights, raster
 from pbrfit.report.html import Cell, Table, heads, number
 from pbrfit.report.lights import Light
 from pbrfit.report.notation import percent, plain
@@ -43,46 +43,32 @@ class Fit:
         return self.rmse / self.rms if self.rms > 0 else 0.0
 
 
-@dataclass(frozen=True)
+@dataclass
 class Picture:
     """A picture as the page shows it."""
 
     name: str
-    """The picture's own."""
-    fit: Fit | None
-    """None without the scene."""
-    shown: _Shown
     light: Light
     light_pngs: tuple[bytes, bytes] | None
     """Its light, without lamps: in numbers; on balls, as a panorama, None where there are lamps."""
-
-    @property
-    def white(self) -> float:
-        """What is shown as white."""
-        return self.shown.white
-
-    def pngs(self, side: int) -> tuple[bytes, ...]:
-        """At one of the sides: picture, reconstruction and residual, or only the second."""
-        return self.shown.pngs(side)
+    sides: Sequence[int]
+    """That it may have; what follows has the first, from which the others are made when wanted."""
+    white: float
+    """What is shown as white."""
+    radiance: tuple[NDArray[np.float64], ...]
+    """The picture, unless it is not there, and its reconstruction."""
+    fit: Fit | None = None
+    residual: Difference | None = None
+    """None without the scene."""
+    made: dict[int, tuple[bytes, ...]] = field(default_factory=dict)
 
     def size(self, side: int) -> int:
         """Bytes in the page at one of the sides, the largest first."""
         pngs = (*(self.light_pngs or ()), *self.pngs(side))
-        return sum(budget.of_base64(len(png)) for png in pngs)
-
-
-@dataclass
-class _Shown:
-    """What is drawn, at the largest side; smaller ones are made of it when they are asked for."""
-
-    sides: Sequence[int]
-    white: float
-    radiance: tuple[NDArray[np.float64], ...]
-    """The picture, unless it is not there, and its reconstruction."""
-    residual: Difference | None
-    made: dict[int, tuple[bytes, ...]] = field(default_factory=dict)
+        return sum(-(-len(png) // 3) * 4 for png in pngs)  # in base64
 
     def pngs(self, side: int) -> tuple[bytes, ...]:
+        """At one of the sides: picture, reconstruction and residual, or only the second."""
         if side not in self.made:
             at = self.sides[side]
             found = [
@@ -101,41 +87,27 @@ def examine(result: Result, scene: Scene | None, sides: Sequence[int]) -> list[P
 
     def one(i: int) -> Picture:
         coefficients = result.lighting[i]
-        light = lights.measure(coefficients)
-        fit, shown = _one(result, scene, i, sides)
-        balls = None
+        light, balls = lights.measure(coefficients), None
         if result.lamps is None:
             balls = lights.pngs(coefficients, light, result.model)
-        return Picture(result.pictures[i], fit, shown, light, balls)
+        rendered = relight(result, picture=i)
+        small, about = raster.reduced(rendered, sides[0]), (result.pictures[i], light, balls, sides)
+        if scene is None:
+            return Picture(*about, metrics.white_of(rendered), (small,))
+        image, weights = scene.images[i], scene.channel_weights(i)
+        counted = result.mask if weights is None else result.mask & (weights > 0).any(axis=-1)
+        residual = differences.residual(rendered, image, weights)
+        fit = Fit(
+            *_errors(rendered, image, weights, residual),
+            high=float(np.percentile(residual.values[counted], HIGH)),
+            left_out=1 - np.count_nonzero(counted) / np.count_nonzero(result.mask),
+        )
+        image, white = metrics.showable(image, result.mask, weights)
+        shown = raster.reduced(image, sides[0]), small
+        residual = raster.reduced_difference(residual, sides[0])
+        return Picture(*about, white, shown, fit, residual)
 
     return in_pieces(0, one, range(len(result.pictures)))
-
-
-def _one(
-    result: Result, scene: Scene | None, i: int, sides: Sequence[int]
-) -> tuple[Fit | None, _Shown]:
-    rendered = relight(result, picture=i)
-    small = raster.reduced(rendered, sides[0])
-    if scene is None:
-        return None, _Shown(sides, metrics.white_of(rendered), (small,), None)
-    image = scene.images[i]
-    weights = scene.channel_weights(i)
-    counted = result.mask if weights is None else result.mask & (weights > 0).any(axis=-1)
-    residual = differences.residual(rendered, image, weights)
-    rms, rmse = _errors(rendered, image, weights, residual)
-    fit = Fit(
-        rms=rms,
-        rmse=rmse,
-        high=float(np.percentile(residual.values[counted], HIGH)),
-        left_out=1 - np.count_nonzero(counted) / np.count_nonzero(result.mask),
-    )
-    image, white = metrics.showable(image, result.mask, weights)
-    return fit, _Shown(
-        sides,
-        white,
-        (raster.reduced(image, sides[0]), small),
-        raster.reduced_difference(residual, sides[0]),
-    )
 
 
 def _errors(

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import io
-from functools import reduce
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
+from pbrfit.io.color import over_channels
+from pbrfit.io.resampling import averaged, averaged_channels, averaged_where, reduced_size
 from pbrfit.result.differences import OUTSIDE, PALETTE, Difference
 
 Values = NDArray[np.floating[Any]]
@@ -28,12 +28,9 @@ def reduced(values: Values, side: int) -> NDArray[np.float64]:
     inside = np.isfinite(planes[..., 0])
     if inside.all():
         return averaged_channels(planes, size).reshape(*size, *values.shape[2:])
-    share = averaged(inside, size)
-    means = averaged_channels(np.where(inside[..., None], planes, 0.0), size)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        found = means / share[..., None]
+    found, share = averaged_where(values, inside, size)
     found[share < 0.5] = np.nan
-    return found.reshape(*size, *values.shape[2:])
+    return found
 
 
 def reduced_difference(difference: Difference, side: int) -> Difference:
@@ -49,10 +46,7 @@ def reduced_difference(difference: Difference, side: int) -> Difference:
         marked |= False if mark is None else mark
     outside = averaged(np.isnan(values), size) > 0.5
     # What is marked has a colour of its own and is no number to be averaged with others.
-    free = np.isfinite(values) & ~marked
-    share = averaged(free, size)
-    total = averaged(np.where(free, values, 0.0), size)
-    found = np.divide(total, share, out=np.zeros(size), where=share > 0)
+    found, _ = averaged_where(values, np.isfinite(values) & ~marked, size)
     found[outside] = np.nan
     return Difference(found, *small)
 
@@ -60,7 +54,7 @@ def reduced_difference(difference: Difference, side: int) -> Difference:
 def picture_png(encoded: Values) -> bytes:
     """(H, W) or (H, W, 3) as it goes to the screen; transparent where it is NaN."""
     unknown = np.isnan(encoded)
-    outside = unknown if encoded.ndim == 2 else reduce(np.logical_or, np.moveaxis(unknown, -1, 0))
+    outside = unknown if encoded.ndim == 2 else over_channels(np.logical_or, unknown)
     codes = np.rint(255 * np.where(unknown, 0.0, np.clip(encoded, 0.0, 1.0))).astype(np.uint8)
     if not outside.any():
         return _png(Image.fromarray(codes))

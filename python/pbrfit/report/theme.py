@@ -9,51 +9,26 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-DARK: Mapping[str, str] = {
-    "ground": "#121315",
-    "stage": "#0a0b0c",
-    "raised": "#1c1e21",
-    "control": "#2a2d31",
-    "line": "#34383d",
-    "edge": "#7d848c",
-    "text": "#e9eaec",
-    "quiet": "#a4aab2",
-    "accent": "#7cc0f5",
-    "on-accent": "#0b1a26",
-    "usable": "#6fbcf2",
-    "rough": "#efb341",
-    "poor": "#ff9166",
-    "pass": "#4fc79b",
-    "fail": "#ff9166",
+COLORS: Mapping[str, tuple[str, str]] = {
+    "ground": ("#121315", "#fbfbfa"),
+    "stage": ("#0a0b0c", "#e6e6e4"),
+    "raised": ("#1c1e21", "#ffffff"),
+    "control": ("#2a2d31", "#efefed"),
+    "line": ("#34383d", "#dcdcd8"),
+    "edge": ("#7d848c", "#787c80"),
+    "text": ("#e9eaec", "#1b1c1e"),
+    "quiet": ("#a4aab2", "#55595e"),
+    "accent": ("#7cc0f5", "#00568a"),
+    "on-accent": ("#0b1a26", "#ffffff"),
+    "usable": ("#6fbcf2", "#005b94"),
+    "rough": ("#efb341", "#7d5300"),
+    "poor": ("#ff9166", "#a83c00"),
+    "pass": ("#4fc79b", "#00674b"),
+    "fail": ("#ff9166", "#a83c00"),
 }
+"""By name: in the dark theme, and in the light one."""
 
-LIGHT: Mapping[str, str] = {
-    "ground": "#fbfbfa",
-    "stage": "#e6e6e4",
-    "raised": "#ffffff",
-    "control": "#efefed",
-    "line": "#dcdcd8",
-    "edge": "#787c80",
-    "text": "#1b1c1e",
-    "quiet": "#55595e",
-    "accent": "#00568a",
-    "on-accent": "#ffffff",
-    "usable": "#005b94",
-    "rough": "#7d5300",
-    "poor": "#a83c00",
-    "pass": "#00674b",
-    "fail": "#a83c00",
-}
-
-GROUNDS = ("ground", "stage", "raised", "control")
-TEXTS = ("text", "quiet", "accent", "usable", "rough", "poor", "pass", "fail")
-"""Every text colour is read on every ground."""
-
-TEXT_CONTRAST = 4.5
-"""Least ratio of a text's relative luminance to its ground's (WCAG 2.2, 1.4.3)."""
-
-EDGE_CONTRAST = 3.0
-"""Least ratio of a control's edge to its ground (WCAG 2.2, 1.4.11)."""
+DARK, LIGHT = ({name: pair[k] for name, pair in COLORS.items()} for k in range(2))
 
 SCALES: Mapping[str, str] = {
     # Type: a ratio of 1.2 around 15 px.
@@ -107,19 +82,6 @@ def button() -> str:
         '<circle cx="12" cy="12" r="8"/><path d="M12 4a8 8 0 0 1 0 16z" fill="currentColor"/></svg>'
         "</button>"
     )
-
-
-def contrast(one: str, other: str) -> float:
-    """Ratio of the relative luminances of two colours #rrggbb, 1 to 21 (WCAG 2.2)."""
-    low, high = sorted((_luminance(one), _luminance(other)))
-    return (high + 0.05) / (low + 0.05)
-
-
-def _luminance(color: str) -> float:
-    shares = (int(color[i : i + 2], 16) / 255 for i in (1, 3, 5))
-    # WCAG's own limit of the linear part.
-    red, green, blue = (c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in shares)
-    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
 
 
 def _properties(values: Mapping[str, str]) -> str:

@@ -11,7 +11,7 @@ from pbrfit.report import normals
 from pbrfit.report.html import Cell, Table, number, paragraph
 from pbrfit.report.notation import percent, plain
 from pbrfit.report.pictures import Picture, median_share, worst
-from pbrfit.result.advice import FOV_DOUBTED
+from pbrfit.result.camera import Camera
 from pbrfit.result.data import Status
 from pbrfit.result.result import Result
 from pbrfit.result.verdict import PARAMETERS, Level, Verdict, thresholds
@@ -173,21 +173,9 @@ def _scale(result: Result) -> str:
     )
 
 
-def _doubts_about_fov(result: Result) -> list[str]:
-    camera = result.camera
-    if camera is None or camera.how == "assumed":
-        return [f"the field of view is a guess ({result.fov:g} degrees)"]
-    if camera.contradicted:
-        return [f"the field of view is {camera.in_words()}; {camera.contradiction()}"]
-    if camera.fov_sigma is not None and camera.fov_sigma > FOV_DOUBTED:
-        return [f"the field of view is hardly known: {camera.in_words()}"]
-    return []
-
-
 def _doubts(result: Result, pictures: Sequence[Picture]) -> str:
     """Assumptions that may make the maps wrong without a trace in the residual."""
-    doubts = []
-    doubts += _doubts_about_fov(result)
+    doubts = list(filter(None, [(result.camera or Camera(result.fov, "assumed")).doubt()]))
     given = result.normals if result.given_normals is None else result.given_normals
     if (given[result.mask] == (0.0, 0.0, 1.0)).all():
         doubts.append(

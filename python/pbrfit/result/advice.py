@@ -18,9 +18,6 @@ from pbrfit.result.verdict import FOV_CONTRADICTED, MORE_TOLD, UNEXPLAINED, Verd
 AT_MOST = 2
 """Steps that are named: the first that help most, not all that might."""
 
-FOV_DOUBTED = 5.0
-"""Standard deviation of a fitted field of view, in degrees, above which the true one is asked."""
-
 BLACK_ALBEDO = 0.02
 """Albedo up to which a pixel is black in pictures under any light: velvet has about 0.01."""
 
@@ -71,24 +68,13 @@ def _unfinished(result: ResultData) -> Iterator[str]:
 
 def _camera(result: ResultData, named: set[str]) -> Iterator[str]:
     camera = result.camera
-    if camera is None:
+    if camera is None or (camera.contradicted and FOV_CONTRADICTED in named):
         return
+    remedy = "the true one (option fov) would help"
     if camera.contradicted:
-        if FOV_CONTRADICTED not in named:
-            yield (
-                f"the field of view is {camera.in_words()}, but {camera.contradiction()}: see "
-                "whether it is right (option fov)"
-            )
-    elif camera.how == "assumed":
-        yield (
-            f"the field of view is a guess, {camera.fov_degrees:g} degrees: the true one (option "
-            "fov) would help"
-        )
-    elif camera.fov_sigma is not None and camera.fov_sigma > FOV_DOUBTED:
-        yield (
-            f"the field of view is hardly known, {camera.in_words()}: the true one (option fov) "
-            "would help"
-        )
+        remedy = "see whether it is right (option fov)"
+    if doubt := camera.doubt():
+        yield f"{doubt}: {remedy}"
 
 
 def _sides(result: ResultData, maps: list[str], named: set[str]) -> Iterator[str]:

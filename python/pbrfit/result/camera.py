@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
 from pbrfit.io.color import Curve
-from pbrfit.io.json_files import figures, finite_or_null, flag, number, positive
+from pbrfit.io.json_files import figures, flag, number, positive
 from pbrfit.io.quoting import quoted
 from pbrfit.model.geometry import check_fov
 from pbrfit.scene.correction import Correction
 
 How = Literal["given", "fitted", "assumed"]
+
+FOV_DOUBTED = 5.0
+"""Standard deviation of a fitted field of view, in degrees, above which the true one is asked."""
 
 
 @dataclass(frozen=True)
@@ -46,13 +49,19 @@ class Camera:
         found = _with_sigma(self.figures["other_fov_degrees"], self.figures["other_fov_sigma"])
         return f"the pictures fit far better with about {found}"
 
-    def as_json(self) -> dict[str, Any]:
-        """What `result.json` holds under `camera`."""
-        return asdict(self) | {"figures": finite_or_null(self.figures)}
+    def doubt(self) -> str:
+        """What is doubtful about it, a clause; empty where nothing is."""
+        if self.contradicted:
+            return f"the field of view is {self.in_words()}, but {self.contradiction()}"
+        if self.how == "assumed":
+            return f"the field of view is a guess, {self.fov_degrees:g} degrees"
+        if self.fov_sigma is not None and self.fov_sigma > FOV_DOUBTED:
+            return f"the field of view is hardly known, {self.in_words()}"
+        return ""
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Camera:
-        """Undo `as_json`; ValueError, KeyError or TypeError if it is something else."""
+        """From its fields in `result.json`; ValueError, KeyError or TypeError if unfit."""
         how, sigma = content["how"], content["fov_sigma"]
         if how not in get_args(How):
             raise ValueError(f"camera {quoted(how)}")

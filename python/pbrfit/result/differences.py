@@ -9,17 +9,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import reduce
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.color import encode_srgb
+from pbrfit.io.color import encode_srgb, over_channels
 from pbrfit.model.materials import Materials
 from pbrfit.result.refinement import CHANGE_DEGREES_MIN
 from pbrfit.result.uncertainty import Uncertainty
-from pbrfit.result.verdict import LEVELS, PARAMETERS, levels
+from pbrfit.result.verdict import LEVELS, levels, planes
 
 Map = NDArray[np.floating[Any]]
 
@@ -127,7 +126,7 @@ def residual(
     Both are (H, W, 3), and `rendered` is NaN outside the mask. Values of weight (H, W, 3) 0 took no
     part in the fit and have none here; pixels with no others are white.
     """
-    used: NDArray[np.bool_] = reduce(np.logical_and, np.isfinite(np.moveaxis(rendered, -1, 0)))
+    used: NDArray[np.bool_] = over_channels(np.logical_and, np.isfinite(rendered))
     if weights is None and used.all():
         error = np.asarray(rendered) - np.asarray(picture)
         mean = np.einsum("hwc,hwc->hw", error, error) / error.shape[-1]
@@ -165,7 +164,7 @@ def errors(found: Materials, true: Materials) -> dict[str, Difference]:
         np.abs(found.roughness - true.roughness),
         np.abs(found.metallic - true.metallic),
     )
-    return {name: Difference(values) for name, values in _planes(error).items()}
+    return {name: Difference(values) for name, values in planes(error).items()}
 
 
 def deviations(uncertainty: Uncertainty) -> dict[str, Difference]:
@@ -176,7 +175,7 @@ def deviations(uncertainty: Uncertainty) -> dict[str, Difference]:
     of_pixels = levels(uncertainty.deviation)
     return {
         name: Difference(values, values == 0, of_pixels[name] == LEVELS.index("not determined"))
-        for name, values in _planes(uncertainty.deviation).items()
+        for name, values in planes(uncertainty.deviation).items()
     }
 
 
@@ -187,9 +186,3 @@ def deviation_marks(maps: Iterable[Difference]) -> dict[str, int]:
         if any((one.indices() == index).any() for one in maps):
             found[label] = index
     return found
-
-
-def _planes(deviations: Materials) -> dict[str, Map]:
-    """(H, W) by name, in the order of `PARAMETERS`."""
-    albedo = np.sqrt(np.mean(np.square(deviations.albedo), axis=-1))
-    return dict(zip(PARAMETERS, (albedo, deviations.roughness, deviations.metallic), strict=True))

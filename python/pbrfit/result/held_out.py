@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from pbrfit.io.json_files import number, positive, table, text, whole
@@ -64,13 +64,9 @@ class HeldOut:
         second = others[0]
         return f"chosen: {self.chosen}; second: {second.what}, {_percent(second.error)}"
 
-    def as_json(self) -> dict[str, Any]:
-        """What `result.json` holds under `held_out`."""
-        return asdict(self)
-
     @classmethod
     def from_json(cls, content: Mapping[str, Any] | None) -> HeldOut | None:
-        """Undo `as_json`; ValueError, KeyError or TypeError if it is something else."""
+        """From its fields in `result.json`; ValueError, KeyError or TypeError if unfit."""
         if content is None:
             return None
         return cls(

@@ -37,9 +37,6 @@ class HistoryRow:
 
 COLUMNS = tuple(f.name for f in fields(HistoryRow))
 WITHOUT_TRUTH = COLUMNS[:5]
-_NUMBERS: dict[str, Any] = {
-    name: int if name in ("iteration", "evaluations") else float for name in COLUMNS
-}
 
 MOST = 1e300
 """Numbers beyond are not those of a fit; a float holds these."""
@@ -105,7 +102,7 @@ class History:
 
 def _number(column: str, entry: str) -> Any:
     """Of a column; ValueError if it is none. Errors may be NaN, which stands for unknown."""
-    value = _NUMBERS[column](entry)
+    value = int(entry) if column in ("iteration", "evaluations") else float(entry)
     if abs(value) <= MOST or (value != value and column not in WITHOUT_TRUTH):
         return value
     raise ValueError(f"{entry} under {column}")

@@ -6,7 +6,6 @@ NaN pixels, which are the ones outside the mask, never enter.
 from __future__ import annotations
 
 import math
-from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io.checks import real_array, real_number, reals
-from pbrfit.io.color import encode_srgb
+from pbrfit.io.color import encode_srgb, over_channels
 
 PROTOCOL = (
     "pbrfit-1: RMSE over valid pixels and channels, linear values; "
@@ -42,7 +41,12 @@ def rmse(
     used |= np.isnan(true)
     np.logical_not(used, out=used)
     if weights is not None:
-        weights = _like("weights", weights, found.shape)
+        weights = reals("weights", weights)
+        try:
+            weights = np.broadcast_to(weights, found.shape)
+        except ValueError:
+            expected = f"a shape that broadcasts to {found.shape}"
+            raise InputError(f"weights: expected {expected}, found {weights.shape}") from None
         used &= weights > 0
         weights = weights[used].astype(np.float64)
         with np.errstate(over="ignore"):
@@ -89,17 +93,6 @@ def scaled_per_channel(
         return np.asarray(found * factor)
 
 
-def _like(name: str, values: Any, shape: tuple[int, ...]) -> NDArray[Any]:
-    """Real numbers that broadcast to a shape."""
-    array = reals(name, values)
-    try:
-        return np.broadcast_to(array, shape)
-    except ValueError:
-        raise InputError(
-            f"{name}: expected a shape that broadcasts to {shape}, found {array.shape}"
-        ) from None
-
-
 def display(radiance: NDArray[np.floating[Any]], white: float) -> NDArray[np.float64]:
     """Linear radiance as people see it: divided by `white`, clipped to [0, 1], sRGB-encoded."""
     unit = real_number("white", white, "a number above 0")
@@ -119,6 +112,11 @@ def white_of(radiance: NDArray[np.floating[Any]]) -> float:
     return bright if bright > 0 else 1.0
 
 
+def stops(white: float) -> float:
+    """Exposure, to a tenth of a stop, that shows radiance `white`, above 0, as white."""
+    return round(0.0 - math.log2(white), 1)
+
+
 def showable(
     picture: NDArray[np.floating[Any]],
     mask: NDArray[np.bool_],
@@ -131,5 +129,5 @@ def showable(
     """
     counted = mask[..., None] if weights is None else mask[..., None] & (weights > 0)
     white = white_of(np.where(counted, picture, np.nan))
-    finite = reduce(np.logical_and, np.isfinite(np.moveaxis(picture, -1, 0)))
+    finite = over_channels(np.logical_and, np.isfinite(picture))
     return np.where(finite[..., None], picture, np.nan), white

@@ -45,7 +45,7 @@ def preview(result: ResultData, scene: SceneArrays | None = None) -> NDArray[np.
         for name, one in zip(PARAMETERS, _maps(result.materials, PARAMETERS), strict=True)
     ]
     rows.append([*maps, _normals(result.normals, of_normals)])
-    ticks, white = differences.tick_places(), _color(differences.WHITE)
+    ticks, white = differences.tick_places(), differences.WHITE
     keys = []
     if scene is not None:
         left_out = scene.weights is not None or scene.limits is not None
@@ -61,9 +61,8 @@ def preview(result: ResultData, scene: SceneArrays | None = None) -> NDArray[np.
         of_maps = differences.deviations(result.uncertainty)
         rows.append(_differences(of_maps))
         labels.append("deviation")
-        marks = differences.deviation_marks(of_maps.values()).items()
-        of_marks = {label: _color(index) for label, index in marks}
-        keys.append(_key("standard deviation", ticks, of_marks))
+        marks = differences.deviation_marks(of_maps.values())
+        keys.append(_key("standard deviation", ticks, marks))
     if result.given_normals is not None and result.normal_change is not None:
         rows.append(
             [
@@ -79,14 +78,10 @@ def preview(result: ResultData, scene: SceneArrays | None = None) -> NDArray[np.
     title = f"{len(result.pictures)} pictures of {width} x {height}"
     if result.held_out is not None:
         title += f"; {result.held_out.in_words()}"
-    return sheet(_cropped(rows, result.mask), title=title, labels=labels, keys=keys)
-
-
-def _cropped(rows: Sequence[Row], mask: NDArray[np.bool_]) -> list[Row]:
-    """Panels without what lies outside the box around the mask."""
-    rows_in, columns_in = np.nonzero(mask)
-    box = np.s_[rows_in.min() : rows_in.max() + 1, columns_in.min() : columns_in.max() + 1]
-    return [[one and replace(one, pixels=one.pixels[box]) for one in row] for row in rows]
+    # Without what lies outside the box around the mask.
+    inside = tuple(slice(of.min(), of.max() + 1) for of in np.nonzero(result.mask))
+    rows = [[one and replace(one, pixels=one.pixels[inside]) for one in row] for row in rows]
+    return sheet(rows, title=title, labels=labels, keys=keys)
 
 
 def contact_sheet(scene: SceneArrays) -> NDArray[np.uint8]:
@@ -186,16 +181,10 @@ def _differences(maps: Mapping[str, Difference]) -> Row:
     return [Panel("", _painted(maps[name])) for name in PARAMETERS]
 
 
-def _key(
-    caption: str, ticks: Mapping[float, str], marks: Mapping[str, tuple[float, float, float]]
-) -> Key:
-    return Key(caption, PALETTE[: differences.STEPS], ticks, marks)
+def _key(caption: str, ticks: Mapping[float, str], marks: Mapping[str, int]) -> Key:
+    patches = {label: PALETTE[index] for label, index in marks.items()}
+    return Key(caption, PALETTE[: differences.STEPS], ticks, patches)
 
 
 def _painted(difference: Difference) -> NDArray[np.float64]:
     return PALETTE[difference.indices()]
-
-
-def _color(index: int) -> tuple[float, float, float]:
-    red, green, blue = PALETTE[index].tolist()
-    return red, green, blue

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.json_files import figures, finite_or_null, flag, text
+from pbrfit.io.json_files import figures, flag, text
 from pbrfit.io.quoting import quoted
 
 if TYPE_CHECKING:
@@ -76,13 +76,9 @@ class Refinement:
         how_far = f" by {mean:.1f} degrees in the mean, {largest:.1f} at most"
         return f"refined{how_far if math.isfinite(mean) else ''}: {self.why}"
 
-    def as_json(self) -> dict[str, Any]:
-        """What `result.json` holds under `normals`."""
-        return asdict(self) | {"figures": finite_or_null(self.figures)}
-
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Refinement:
-        """Undo `as_json`; ValueError, KeyError or TypeError if it is something else."""
+        """From its fields in `result.json`; ValueError, KeyError or TypeError if unfit."""
         asked, refined, why = content["asked"], content["refined"], content["why"]
         if asked not in CHOICES:
             raise ValueError(f"normals {quoted(asked)}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pbrfit._core import InputError
-from pbrfit.io.checks import of_what, real_number
+from pbrfit.io.checks import finite, of_what
 from pbrfit.io.quoting import listed, quoted
 from pbrfit.model import lighting
 from pbrfit.model.environment import Environment, render_environment
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
 LampLight = tuple[Lamps, NDArray[np.float64]]
 """Lamps of one picture, and the ambient light (16, 3) beside them."""
 
+
+OF_COLOR = "three finite numbers, 0 or more", 0.0
+"""What a colour has to be, and the least of its numbers."""
 
 SOFTEST = 45.0
 """Largest angular radius of a lamp, degrees: beyond, it is a sky, which a panorama holds."""
@@ -61,11 +65,8 @@ class DirectionalLight:
     def __post_init__(self) -> None:
         for name in ("azimuth", "elevation"):
             object.__setattr__(self, name, _degrees(name, getattr(self, name)))
-        object.__setattr__(self, "color", _color(self.color))
-        expected = f"0 to {SOFTEST:g} degrees"
-        softness = real_number("softness", self.softness, expected)
-        if not 0 <= softness <= SOFTEST:
-            raise InputError(f"softness: expected {expected}, found {of_what(self.softness)}")
+        object.__setattr__(self, "color", _three_numbers("color", self.color, *OF_COLOR))
+        softness = finite("softness", self.softness, f"0 to {SOFTEST:g} degrees", 0.0, SOFTEST)
         object.__setattr__(self, "softness", softness)
 
     @property
@@ -111,11 +112,8 @@ class PointLight:
     def __post_init__(self) -> None:
         position = _three_numbers("position", self.position, "three finite numbers")
         object.__setattr__(self, "position", position)
-        object.__setattr__(self, "color", _color(self.color))
-        expected = "a finite number, 0 or more"
-        radius = real_number("radius", self.radius, expected)
-        if not 0 <= radius < math.inf:
-            raise InputError(f"radius: expected {expected}, found {of_what(self.radius)}")
+        object.__setattr__(self, "color", _three_numbers("color", self.color, *OF_COLOR))
+        radius = finite("radius", self.radius, "a finite number, 0 or more", 0.0)
         object.__setattr__(self, "radius", radius)
 
     @property
@@ -332,28 +330,16 @@ def turned(light: L, degrees: float) -> L:
     return cast("L", found)
 
 
-def _three_numbers(name: str, given: Any, expected: str) -> tuple[float, float, float]:
-    """Finite ones; InputError otherwise."""
-    try:
-        numbers = tuple(real_number(name, number, expected) for number in given)
-    except TypeError:
-        numbers = ()
-    if len(numbers) != 3 or not all(map(math.isfinite, numbers)):
-        raise InputError(f"{name}: expected {expected}, found {of_what(given)}")
-    return numbers
-
-
-def _color(given: Any) -> tuple[float, float, float]:
-    expected = "three finite numbers, 0 or more"
-    color = _three_numbers("color", given, expected)
-    if min(color) < 0:
-        raise InputError(f"color: expected {expected}, found {of_what(given)}")
-    return color
+def _three_numbers(
+    name: str, given: Any, expected: str, least: float = -math.inf
+) -> tuple[float, float, float]:
+    """Finite ones, `least` or more; InputError otherwise."""
+    with suppress(TypeError, InputError):
+        numbers = tuple(finite(name, number, expected, least) for number in given)
+        if len(numbers) == 3:
+            return numbers
+    raise InputError(f"{name}: expected {expected}, found {of_what(given)}")
 
 
 def _degrees(name: str, value: float) -> float:
-    expected = "a finite number of degrees"
-    degrees = real_number(name, value, expected)
-    if not math.isfinite(degrees):
-        raise InputError(f"{name}: expected {expected}, found {value!r}")
-    return degrees
+    return finite(name, value, "a finite number of degrees")

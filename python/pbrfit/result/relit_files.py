@@ -27,7 +27,7 @@ ANIMATIONS = {".gif": "GIF", ".webp": "WEBP", ".png": "PNG"}
 
 def write_exr(path: Path, radiance: Radiance) -> None:
     """Write linear Rec.709 float32: R, G, B, and A where there is a mask; 0 outside it."""
-    inside = _inside(radiance)
+    inside = np.asarray(np.isfinite(radiance).all(axis=-1))
     largest = float(np.finfo(np.float32).max)
     pixels = np.clip(np.where(inside[..., None], radiance, 0.0), -largest, largest)
     channels: dict[str, NDArray[Any]] = {name: pixels[..., c] for c, name in enumerate("RGB")}
@@ -63,10 +63,6 @@ def write_animation(path: Path, kind: str, frames: Iterable[NDArray[np.uint8]], 
         first.save(file, ANIMATIONS[kind], save_all=True, append_images=others, loop=0, **options)
 
 
-def _inside(radiance: Radiance) -> NDArray[np.bool_]:
-    return np.asarray(np.isfinite(radiance).all(axis=-1))
-
-
 @dataclass
 class Screen:
     """Encodes radiance for a screen, and keeps account of what that cost."""
@@ -81,10 +77,9 @@ class Screen:
 
     def shown(self, radiance: Radiance) -> NDArray[np.uint8]:
         """(H, W, 3) sRGB codes; (H, W, 4) where there is a mask, 0 outside it."""
-        inside = _inside(radiance)
-        values = tone.encoded(
-            np.where(inside[..., None], radiance, 0.0), self.exposure, self.tone_map
-        )
+        inside = np.asarray(np.isfinite(radiance).all(axis=-1))
+        shown = np.where(inside[..., None], radiance, 0.0)
+        values = tone.encoded(shown, self.exposure, self.tone_map)
         codes = np.rint(255 * values).astype(np.uint8)
         largest = codes.max(axis=-1)[inside]
         self.pixels += largest.size

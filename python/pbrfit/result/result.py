@@ -16,6 +16,7 @@ from pbrfit.io import images
 from pbrfit.io.input_files import digest
 from pbrfit.io.json_files import (
     UNFIT,
+    finite_or_null,
     number,
     path_text,
     positive,
@@ -31,7 +32,7 @@ from pbrfit.io.output import FolderForm, new_folder
 from pbrfit.io.quoting import listed, quoted
 from pbrfit.model.geometry import check_fov
 from pbrfit.model.lighting import Lighting
-from pbrfit.model.materials import Materials, of_channels, write_materials
+from pbrfit.model.materials import of_channels, write_materials
 from pbrfit.model.reflection import MODELS, Model
 from pbrfit.registration.placement import IN_LINE, NOT_CHECKED, aligned
 from pbrfit.result.camera import Camera
@@ -61,7 +62,6 @@ RESULT_FOLDER = FolderForm(
     contains=("result.json", "materials.exr"),
     holds=("result.json", *FILES, HEIGHT_FILE, REPORT_FILE),
 )
-"""Form of a result folder."""
 
 
 class Result(ResultData):
@@ -132,10 +132,10 @@ class Result(ResultData):
             "protocol": PROTOCOL,
             "metrics": dict(self.metrics),
             "uncertainty": None if uncertainty is None else uncertainty.summary(),
-            "normals": self.refinement.as_json(),
-            "camera": None if self.camera is None else self.camera.as_json(),
-            "transport": self.transport.as_json(),
-            "held_out": None if self.held_out is None else self.held_out.as_json(),
+            "normals": _as_json(self.refinement),
+            "camera": _as_json(self.camera),
+            "transport": _as_json(self.transport),
+            "held_out": _as_json(self.held_out),
             "verdicts": {name: one.level for name, one in self.verdicts.items()},
             "options": self.options.to_json(),
             "assumed": dict(self.assumed),
@@ -208,14 +208,21 @@ class Result(ResultData):
         of_maps = folder / "materials.exr"
         layers = images.read_channels(of_maps)
         materials, normals, mask = of_channels(layers, of_maps)
-        _check_maps(of_maps, materials, normals, mask)
+        if not mask.any():
+            raise InputError(f"{of_maps}: expected some pixel with mask.Y above 0.5, found none")
+        for name, values in {**vars(materials), "normal": normals}.items():
+            if not np.isfinite(values[mask]).all():
+                raise InputError(f"{of_maps}: expected finite {name}, found NaN or infinity")
         lighting = Lighting.load(folder / "lighting.json")
         file, expected = folder / "result.json", "what pbrfit writes"
         content = read_json(file, expected)
         try:
             details = details_of(content, folder)
             refined, blocked = details["refinement"].refined, details["transport"].blocks
-            summary = content["uncertainty"]
+            uncertainty = None
+            if content["uncertainty"] is not None:
+                _check_layers(layers, of_maps, layer_names(), "an uncertainty")
+                uncertainty = Uncertainty.of(layers, mask, content["uncertainty"])
             return cls(
                 **details,
                 materials=materials,
@@ -224,9 +231,7 @@ class Result(ResultData):
                 mask=mask,
                 pictures=lighting.pictures,
                 history=History.load(folder / "history.csv"),
-                uncertainty=(
-                    None if summary is None else _uncertainty(layers, of_maps, mask, summary)
-                ),
+                uncertainty=uncertainty,
                 given_normals=_given_normals(layers, of_maps, mask) if refined else None,
                 depth=_depth(layers),
                 segments=(
@@ -266,7 +271,10 @@ def details_of(content: Any, folder: Path) -> dict[str, Any]:
         "assumed": {k: text(v) for k, v in table(content["assumed"]).items()},
         "left_out": texts(content["left_out"]),
         "inputs": {k: text(v) for k, v in table(content["inputs"]).items()},
-        "stages": tuple(map(_stage, content["stages"])),
+        "stages": tuple(
+            Stage(text(one["name"]), positive(one["seconds"]), text(one["note"]))
+            for one in content["stages"]
+        ),
         "source": None if source is None else _source(source, folder),
         "refinement": Refinement.from_json(content["normals"]),
         "camera": None if camera is None else Camera.from_json(table(camera)),
@@ -303,17 +311,6 @@ def _check_is_result(folder: Path) -> None:
     )
 
 
-def _check_maps(
-    file: Path, materials: Materials, normals: NDArray[np.float64], mask: NDArray[np.bool_]
-) -> None:
-    """Raise InputError unless there are pixels, and all of them have finite values."""
-    if not mask.any():
-        raise InputError(f"{file}: expected some pixel with mask.Y above 0.5, found none")
-    for name, values in {**vars(materials), "normal": normals}.items():
-        if not np.isfinite(values[mask]).all():
-            raise InputError(f"{file}: expected finite {name}, found NaN or infinity")
-
-
 def model_of(content: Mapping[str, Any], file: Path) -> Model:
     """Return the model of a result by what its `result.json` holds.
 
@@ -326,8 +323,12 @@ def model_of(content: Mapping[str, Any], file: Path) -> Model:
     raise InputError(f"{file}: model: expected {' or '.join(MODELS)}, found {quoted(name)}")
 
 
-def _stage(content: Mapping[str, Any]) -> Stage:
-    return Stage(text(content["name"]), positive(content["seconds"]), text(content["note"]))
+def _as_json(told: Any) -> dict[str, Any] | None:
+    """A dataclass as an object; infinite numbers and NaN among its `figures` are null."""
+    found = None if told is None else asdict(told)
+    if found is not None and "figures" in found:
+        found["figures"] = finite_or_null(found["figures"])
+    return found
 
 
 def _source_as_json(source: Source, folder: Path) -> dict[str, Any] | None:
@@ -349,13 +350,6 @@ def _source(content: Mapping[str, Any], folder: Path) -> Source:
 
 Layers = Mapping[str, NDArray[np.float32]]
 """Channels of `materials.exr`."""
-
-
-def _uncertainty(
-    layers: Layers, file: Path, mask: NDArray[np.bool_], summary: Mapping[str, Any]
-) -> Uncertainty:
-    _check_layers(layers, file, layer_names(), "an uncertainty")
-    return Uncertainty.of(layers, mask, summary)
 
 
 def _given_normals(layers: Layers, file: Path, mask: NDArray[np.bool_]) -> NDArray[np.float64]:

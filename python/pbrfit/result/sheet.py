@@ -58,7 +58,7 @@ class Key:
     """(M, 3) colours, the lowest value first, as they go to the screen."""
     ticks: Mapping[float, str]
     """Labels by share of the bar's width."""
-    patches: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    patches: Mapping[str, NDArray[np.floating[Any]]] = field(default_factory=dict)
     """Colours by label, for what is not on the bar."""
 
 
@@ -93,10 +93,10 @@ def sheet(
     captions = [panel.caption for row in rows for panel in row if panel is not None]
     letters = _letters(column)
     font = _font(captions, column, letters)
-    label_font = _default(letters)
+    label_font = ImageFont.load_default(letters)
     line = caption_height(column)
     gutter = max((round(label_font.getlength(label)) + MARGIN for label in labels), default=0)
-    note_font = _default(round(0.8 * letters))
+    note_font = ImageFont.load_default(round(0.8 * letters))
     note_line = round(1.1 * letters)
     notes = [[_wrapped(panel, column, note_font, note_line) for panel in row] for row in rows]
     heights = [
@@ -199,7 +199,7 @@ def as_png(pixels: NDArray[np.uint8]) -> bytes:
 
 def _draw_key(draw: ImageDraw.ImageDraw, key: Key, corner: tuple[int, int], letters: int) -> None:
     """Caption above a bar with ticks below it; patches to the right."""
-    font = _default(letters)
+    font = ImageFont.load_default(letters)
     left, top = corner[0], corner[1] + round(1.5 * letters)
     width, height = (side * letters // FONT[0] for side in BAR)
     draw.text(corner, key.caption, fill=INK, font=font)
@@ -242,14 +242,10 @@ def _letters(width: int) -> int:
     return min(max(width // 13, FONT[0]), FONT[1])
 
 
-def _default(size: int) -> Font:
-    return ImageFont.load_default(size)
-
-
 def _font(texts: Sequence[str], width: int, largest: int) -> Font:
     """Find the largest built-in font, from `largest` down, in which all texts fit."""
     for size in range(largest, 8, -1):
-        font = _default(size)
+        font = ImageFont.load_default(size)
         if all(font.getlength(text) <= width for text in texts):
             return font
-    return _default(8)
+    return ImageFont.load_default(8)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -59,7 +59,7 @@ class Uncertainty:
             "effective_share": self.effective_share,
             "albedo_scale": list(self.albedo_scale),
             "median_deviation": {n: float(np.median(of[valid])) for n, of in of_maps.items()},
-            "verdicts": {name: one.as_json() for name, one in self.verdicts.items()},
+            "verdicts": {name: asdict(one) for name, one in self.verdicts.items()},
         }
 
     def layers(self) -> dict[str, NDArray[Any]]:

@@ -9,7 +9,7 @@ would be too large if it were so much smaller.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -103,13 +103,9 @@ class Verdict:
         """All of it, as it stands beside a map."""
         return f"{self.level}, {self.error_in_words}{self.why}"
 
-    def as_json(self) -> dict[str, Any]:
-        """For result.json."""
-        return asdict(self)
-
     @classmethod
     def from_json(cls, content: Any) -> Verdict:
-        """From what `as_json` gave; raises one of `json_files.UNFIT` for anything else."""
+        """From its fields in `result.json`; raises one of `json_files.UNFIT` if unfit."""
         content = table(content)
         level = text(content["level"])
         if level not in LEVELS:
@@ -173,17 +169,21 @@ def doubted(verdicts: Mapping[str, Verdict], cause: str, remedy: str) -> dict[st
 def levels(deviation: Materials) -> dict[str, NDArray[np.uint8]]:
     """For each pixel (H, W) the index in `LEVELS` that its own deviation alone would give its map.
 
-    Of albedo the root mean square over channels. 255 outside the mask.
+    255 outside the mask.
     """
-    albedo = np.sqrt(np.mean(np.square(deviation.albedo), axis=-1))
-    planes = dict(zip(PARAMETERS, (albedo, deviation.roughness, deviation.metallic), strict=True))
     found = {}
-    for name, values in planes.items():
+    for name, values in planes(deviation).items():
         limits = np.array([USABLE_MAX[name], ROUGH_MAX[name]])
         of_map = np.searchsorted(limits, values, side="left").astype(np.uint8)
         of_map[~np.isfinite(values)] = 255
         found[name] = of_map
     return found
+
+
+def planes(deviations: Materials) -> dict[str, NDArray[np.floating[Any]]]:
+    """(H, W) by name, in the order of `PARAMETERS`: of albedo the RMS over channels."""
+    albedo = np.sqrt(np.mean(np.square(deviations.albedo), axis=-1))
+    return dict(zip(PARAMETERS, (albedo, deviations.roughness, deviations.metallic), strict=True))
 
 
 def verdicts_of(summary: Any) -> dict[str, Verdict]:

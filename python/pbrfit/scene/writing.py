@@ -47,8 +47,13 @@ def save(scene: SceneArrays, path: Path, *, overwrite: bool = False) -> None:
             images.write_exr(folder / "depth.exr", {"Z": scene.depth})
         if scene.estimates is not None:
             estimates.write(folder / estimates.ESTIMATES_FILE, scene.estimates)
-        if scene.segments is not None:
-            images.write_png(folder / SEGMENT_FILE, _ids(scene.segments), tag=None)
+        if (segments := scene.segments) is not None:
+            # Other ids than 16 bits hold are numbered anew from 1, in their order.
+            if segments.min() < 0 or segments.max() > MAX_ID:
+                segments, count = consecutive_labels(segments)
+                if count > MAX_ID:
+                    raise InputError(f"segments: expected at most {MAX_ID} to save, found {count}")
+            images.write_png(folder / SEGMENT_FILE, segments.astype(np.uint16), tag=None)
         if scene.lighting is not None:
             Lighting(scene.names, scene.lighting).save(folder / "lighting.json")
         if scene.lamps is not None:
@@ -87,12 +92,3 @@ def _write_picture(
     if limits is not None:
         channels |= {f"{images.LIMITS}.{name}": limits[..., c] for c, name in enumerate("RGB")}
     images.write_exr(path, channels)
-
-
-def _ids(segments: NDArray[np.integer[Any]]) -> NDArray[np.uint16]:
-    """As a picture of 16 bits holds them: other ids are numbered anew from 1, in their order."""
-    if segments.min() < 0 or segments.max() > MAX_ID:
-        segments, count = consecutive_labels(segments)
-        if count > MAX_ID:
-            raise InputError(f"segments: expected at most {MAX_ID} to save, found {count}")
-    return segments.astype(np.uint16)

@@ -15,20 +15,16 @@ from pbrfit._core import InputError
 from pbrfit.model.reflection import DEFAULT_MODEL, Model, checked_model, render
 from pbrfit.scene.arrays import Truth
 from pbrfit.scene.scene import Scene
-from pbrfit.synthetic.exposure import MEAN_RADIANCE, gains
 from pbrfit.synthetic.lights import random_lights
 from pbrfit.synthetic.scenes import draw
 from pbrfit.synthetic.world import RayCast, World
 
-__all__ = [
-    "RayCast",
-    "World",
-    "draw",
-    "make_scene",
-    "random_lights",
-]
+__all__ = ["MEAN_RADIANCE", "RayCast", "World", "draw", "gains", "make_scene", "random_lights"]
 
 Array = NDArray[np.float64]
+
+MEAN_RADIANCE = 0.4
+"""Mean radiance of the training pictures of a scene, all together."""
 
 
 def make_scene(
@@ -127,3 +123,9 @@ def _expose(
     images = render(view.materials, view.normals, lighting, view.fov, model=model)
     gain = gains(images, rng)
     return gain[:, None, None] * lighting, gain[:, None, None, None] * images
+
+
+def gains(images: Array, rng: np.random.Generator) -> Array:
+    """(N,) factors that take the mean of each of N pictures (N, ...) to between 1/√2 and √2."""
+    level = np.sqrt(2) ** rng.uniform(-1, 1, size=len(images))
+    return np.asarray(level / images.reshape(len(images), -1).mean(axis=1))

@@ -43,27 +43,14 @@ def random_lights(count: int, rng: np.random.Generator, sh_order: int = 3) -> Ar
     """Draw lightings: ambient light, one key light and a few weaker fills, each of its own colour.
 
     The key lights of a set spread over the sphere on a lattice, the fills are independent, and all
-    lean towards +Y and +Z, where the light that visible surfaces receive comes from. Raises
-    InputError when `count` is below 1 or `sh_order` is neither 2 nor 3.
+    lean towards +Y and +Z, where the light that visible surfaces receive comes from. The same state
+    of `rng` gives the same lightings; with `sh_order` 2 the coefficients of band 3 are exactly
+    zero. Raises InputError when `count` is below 1 or `sh_order` is neither 2 nor 3.
 
-    Parameters
-    ----------
-    count
-        Number of lightings N, at least 1.
-    rng
-        Source of randomness; the same state gives the same lightings.
-    sh_order
-        2 or 3; with 2 the coefficients of band 3 are exactly zero.
+    Returns (N, 16, 3): lighting, coefficient, channel. Radiance in linear Rec.709, positive in
+    every direction, about 1 at the peak of the key light. Real SH without Condon-Shortley phase,
+    index l(l+1)+m.
 
-    Returns
-    -------
-    ndarray
-        (N, 16, 3): lighting, coefficient, channel. Radiance in linear Rec.709, positive in every
-        direction, about 1 at the peak of the key light. Real SH without Condon-Shortley phase,
-        index l(l+1)+m.
-
-    Notes
-    -----
     A random square matrix is now and then close to singular, and such lights leave their own scale
     undetermined; a set is drawn again while the (N, 16) matrix of a channel has a condition number
     (largest over smallest non-zero singular value) above 3000. Of 16 lights of order 3 it is

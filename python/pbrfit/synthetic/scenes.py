@@ -29,24 +29,15 @@ GROUP = "pbrfit.scenes"
 
 
 def draw(kind: str, rng: np.random.Generator, textures: Any = None) -> World:
-    """Draw a scene.
+    """Draw a scene; the same state of `rng` gives the same.
 
-    Raises InputError when `kind` is unknown, its package is not installed, or the textures cannot
-    be used.
-
-    Parameters
-    ----------
-    kind
-        "room": furniture of constant materials, at least a third of the pieces metal.
-        "spheres": a grid, roughness growing from left to right, metal and dielectric rows.
-        "textured": the room with patterns in albedo, roughness and, on some pieces, metallic.
-        With pbrfit-evaluation also "furnished", a room with furniture and things on it, and
-        "detailed", that room with texture maps, or with finer patterns and relief.
-    rng
-        Source of randomness; the same state gives the same scene.
-    textures
-        For kinds that take some: a folder of texture maps, or the sets that were read from one.
-        None for procedural detail.
+    Kinds: "room", furniture of constant materials, at least a third of the pieces metal; "spheres",
+    a grid, roughness growing from left to right, metal and dielectric rows; "textured", the room
+    with patterns in albedo, roughness and, on some pieces, metallic. With pbrfit-evaluation also
+    "furnished", a room with furniture and things on it, and "detailed", that room with texture
+    maps, or with finer patterns and relief. `textures` are for kinds that take some: a folder of
+    texture maps, or the sets that were read from one; None for procedural detail. Raises InputError
+    when the kind is unknown, its package is not installed, or the textures cannot be used.
     """
     if kind not in KINDS:
         world = _added(kind)(rng, textures)

@@ -32,13 +32,6 @@ class Stage:
         """Walls, then pieces."""
         return [*self.walls, *self.pieces]
 
-    def smallest_share(self) -> float:
-        """Share of a 48 x 48 picture that the least visible piece covers."""
-        rays = -view_directions(48, 48, 60.0).reshape(-1, 3)
-        hits = trace(self.primitives, self.eye, rays @ self.turn.T)
-        counts = np.bincount(hits.index, minlength=len(self.walls) + len(self.pieces))
-        return float(counts[len(self.walls) :].min() / len(rays))
-
 
 def shell(low: Array, high: Array) -> list[Primitive]:
     """Floor, ceiling, left, right, back and front of a room, seen from inside."""
@@ -73,7 +66,11 @@ def room_stage(rng: np.random.Generator) -> Stage:
             eye=np.array([aside, rng.uniform(1.5, 1.75), 0.2]),
             turn=rotation(1, yaw) @ rotation(0, rng.uniform(-13, -9)),
         )
-        share = stage.smallest_share()
+        # Of a 48 x 48 picture, that of the least visible piece.
+        rays = -view_directions(48, 48, 60.0).reshape(-1, 3)
+        hits = trace(stage.primitives, stage.eye, rays @ stage.turn.T)
+        counts = np.bincount(hits.index, minlength=len(stage.primitives))
+        share = float(counts[len(stage.walls) :].min() / len(rays))
         if share > best_share:
             best, best_share = stage, share
         if share >= 0.006:

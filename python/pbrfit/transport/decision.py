@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
 from pbrfit.io.json_files import figures, flag, number, positive, table, text
@@ -14,32 +14,22 @@ Kind = Literal["none", "occlusion", "bounce"]
 
 @dataclass(frozen=True)
 class Extents:
-    """What no picture shows, in units of the median depth.
-
-    Attributes
-    ----------
-    thickness
-        Of things seen from the front, at most.
-    height
-        Of walls above the floor, or above the lowest point where no floor is seen; a wall that is
-        seen higher up is higher. None = as far as they are seen.
-    behind
-        Distance of the wall behind the camera; None = open.
-    ceiling
-        Whether it is closed above.
-    blocks
-        For each wall that was found, whether it blocks light.
-    reach
-        How far a wall goes on beyond what is seen of it where no other wall ends it, and floor and
-        walls behind the camera where no wall is there.
-    """
+    """What no picture shows, in units of the median depth."""
 
     thickness: float
+    """Of things seen from the front, at most."""
     height: float | None
+    """Of walls above the floor, or above the lowest point where no floor is seen; a wall that is
+    seen higher up is higher. None = as far as they are seen."""
     behind: float | None
+    """Distance of the wall behind the camera; None = open."""
     ceiling: bool
+    """Whether it is closed above."""
     blocks: tuple[bool, ...]
+    """For each wall that was found, whether it blocks light."""
     reach: float
+    """How far a wall goes on beyond what is seen of it where no other wall ends it, and floor and
+    walls behind the camera where no wall is there."""
 
 
 def candidates(extents: Extents) -> Iterator[Extents]:
@@ -80,13 +70,9 @@ class Transport:
         """Whether surroundings do anything."""
         return self.kind != "none"
 
-    def as_json(self) -> dict[str, Any]:
-        """What `result.json` holds under `transport`."""
-        return asdict(self)
-
     @classmethod
     def from_json(cls, content: Any) -> Transport:
-        """Undo `as_json`; ValueError if it is something else."""
+        """From its fields in `result.json`; ValueError if unfit."""
         values = table(content)
         [kind] = [one for one in get_args(Kind) if one == values.get("kind")]
         extents = None

@@ -35,25 +35,7 @@ LEAST_NOISE = 1e-3
 
 @dataclass(frozen=True)
 class Relief:
-    """The pixels' points, in a grid of every `step`-th pixel.
-
-    Attributes
-    ----------
-    shape, fov
-        Of the picture.
-    rows, columns, step
-        Which pixels.
-    origins, directions
-        (h, w, 3) their rays.
-    distance
-        (h, w) along the rays; NaN where there is no point.
-    normals
-        (h, w, 3) unit normals; NaN where there is no point.
-    right, down
-        (h, w − 1) and (h − 1, w): neighbours that belong to one surface.
-    noise
-        Relative standard deviation of the distances.
-    """
+    """The points of a picture's pixels, in a grid of every `step`-th of its rows and columns."""
 
     shape: tuple[int, int]
     fov: float
@@ -62,11 +44,16 @@ class Relief:
     step: int
     origins: Array
     directions: Array
+    """(h, w, 3) of the pixels' rays."""
     distance: Array
+    """(h, w) along the rays; NaN where there is no point."""
     normals: Array
+    """(h, w, 3) unit normals; NaN where there is no point."""
     right: Mask
     down: Mask
+    """(h, w − 1) and (h − 1, w): neighbours that belong to one surface."""
     noise: float
+    """Relative standard deviation of the distances."""
 
     @property
     def points(self) -> Array:
@@ -113,25 +100,12 @@ def rays(
 
 
 def relief(points: Array, normals: Array, mask: Mask, fov: float, most: int) -> Relief:
-    """Find surface and jumps.
+    """Find surface and jumps; InputError if there is no point.
 
-    Parameters
-    ----------
-    points
-        (H, W, 3) as `pbrfit.model.geometry.positions` gives them; NaN where nothing is known to be.
-    normals
-        (H, W, 3), unit; used in the mask only. Others are those of differences of points.
-    mask
-        (H, W): where normals hold.
-    fov
-        Horizontal field of view in degrees.
-    most
-        Points to keep at most; of larger pictures every second, third, ... pixel.
-
-    Raises
-    ------
-    InputError
-        If there is no point.
+    `points` (H, W, 3) are as of `pbrfit.model.geometry.positions`, NaN where nothing is known to
+    be. Unit `normals` (H, W, 3) hold in the mask (H, W); others are those of differences of points.
+    The field of view is horizontal, in degrees. At most `most` points are kept: of larger pictures
+    every second, third, ... pixel.
     """
     height, width = mask.shape
     step = max(1, math.ceil(math.sqrt(mask.size / most)))

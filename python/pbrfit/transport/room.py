@@ -58,16 +58,8 @@ def rectangles(
     """(4, 3) corners of what blocks light, each with the number of its wall from 1 on, or 0.
 
     Walls end where they meet others, at `reach` beyond what is seen, or behind the camera; they
-    stand on the floor.
-
-    Parameters
-    ----------
-    points
-        (P, 3) of the scene.
-    walls, extents
-        What was found, and what is assumed of it.
-    unit
-        Median depth: the unit of extents.
+    stand on the floor. `points` (P, 3) are the scene's, and `unit` is their median depth, that of
+    extents.
     """
     if not walls:
         return

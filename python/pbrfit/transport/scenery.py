@@ -18,7 +18,7 @@ from pbrfit import _core
 from pbrfit._core import InputError
 from pbrfit.lazy import lazy
 from pbrfit.model.geometry import positions, view_directions
-from pbrfit.model.materials import Materials
+from pbrfit.model.materials import Materials, nearest_inside
 from pbrfit.model.reflection import Model
 from pbrfit.transport.decision import Extents, Transport
 from pbrfit.transport.relief import Array, Mask, Relief, rays, relief
@@ -84,14 +84,10 @@ class Scenery:
     their sides. Walls, floor and ceiling are rectangles. A ray that meets none of these leaves the
     scene.
 
-    Parameters
-    ----------
-    depth, normals, mask, segments, fov
-        As of a `Scene`. Points outside the mask block light, too.
-    extents
-        What no picture shows; None = by default.
-    most
-        Points of the front, at most: of larger pictures every second, third, ... pixel.
+    All but the last two arguments are as of a `Scene`; points outside the mask block light, too.
+    `extents` are what no picture shows; None = by default. At most `most` points are of the front:
+    of larger pictures every second, third, ... pixel. Raises InputError if no depth is known, or
+    `extents` were made for another number of walls.
 
     Attributes
     ----------
@@ -109,11 +105,6 @@ class Scenery:
     starts
         (H, W, 3) float32: where rays of each pixel start: its point, without the noise of its
         depth, lifted above its own surface; NaN where there is none.
-
-    Raises
-    ------
-    InputError
-        If no depth is known, or `extents` were made for another number of walls.
     """
 
     def __init__(
@@ -169,7 +160,7 @@ class Scenery:
     def _nearest(self) -> NDArray[np.uint32]:
         """For each wall and pixel, flat, the pixel that shows the wall nearest to it."""
         places = np.arange(self.mask.size, dtype=np.uint32).reshape(self.mask.shape)
-        found = [places[_nearest_in(wall.pixels)].ravel() for wall in self.walls]
+        found = [places[nearest_inside(wall.pixels)].ravel() for wall in self.walls]
         return np.concatenate(found) if found else np.empty(0, np.uint32)
 
     def with_extents(self, extents: Extents) -> Scenery:
@@ -232,20 +223,10 @@ class Scenery:
         """Pictures of materials among these surroundings under SH light.
 
         Light that surfaces reflect goes on from picture to picture: what a picture without it shows
-        is what surfaces send to others, and so on, `BOUNCES` times.
+        is what surfaces send to others, and so on, `BOUNCES` times, where `transport` says so.
 
-        Parameters
-        ----------
-        materials, normals
-            Maps (H, W, ...), NaN outside the mask.
-        lighting
-            (16, 3) or (N, 16, 3), linear Rec.709.
-        transport
-            Whether light is reflected between surfaces.
-
-        Returns
-        -------
-        (H, W, 3) or (N, H, W, 3) float64, linear Rec.709; NaN outside the mask.
+        Maps are (H, W, ...), NaN outside the mask, and lighting (16, 3) or (N, 16, 3), linear
+        Rec.709. Returns (H, W, 3) or (N, H, W, 3) float64, likewise.
         """
         given = np.asarray(lighting, np.float64)
         lights = given.reshape(-1, *given.shape[-2:])
@@ -273,21 +254,11 @@ class Scenery:
     def open_to(
         self, light: ArrayLike, places: NDArray[np.intp] | None = None, *, near: bool = False
     ) -> NDArray[np.bool_]:
-        """Whether light of a lamp meets nothing before a pixel.
+        """(P,): whether light of a lamp meets nothing before a pixel, or nobody knows where it is.
 
-        Parameters
-        ----------
-        light
-            (3,) in camera space: unit vector from the surface to a lamp that is far away, or the
-            place of one that is near, in the unit of depth.
-        places
-            (P,) pixels, counted row by row; None = those of the mask.
-        near
-            Which of both.
-
-        Returns
-        -------
-        (P,); True where nobody knows where a pixel is.
+        `light` (3,) in camera space is the unit vector from the surface to a lamp that is far away,
+        or the place of a `near` one, in the unit of depth. `places` (P,) are pixels, counted row by
+        row; None = those of the mask.
         """
         places = np.flatnonzero(self.mask) if places is None else places
         starts = self.starts.reshape(-1, 3)[places].astype(np.float64)
@@ -373,12 +344,5 @@ def views(shape: tuple[int, ...], fov: float, places: NDArray[np.intp]) -> Array
 
 def filled(image: NDArray[Any], mask: Mask) -> NDArray[np.float32]:
     """(H, W, ...) in float32; where the mask has nothing, what the nearest pixel in it has."""
-    found: NDArray[np.float32] = np.asarray(image, np.float32)[_nearest_in(mask)]
+    found: NDArray[np.float32] = np.asarray(image, np.float32)[nearest_inside(mask)]
     return found
-
-
-def _nearest_in(mask: Mask) -> tuple[NDArray[np.intp], ...]:
-    """Row and column (H, W) of the nearest pixel of a mask."""
-    from scipy.ndimage import distance_transform_edt
-
-    return tuple(distance_transform_edt(~mask, return_distances=False, return_indices=True))

@@ -19,14 +19,8 @@ _CORNERS = ((0, 0), (0, 1), (1, 1), (1, 0))
 def sheets(found: Relief, things: Mask, thickness: Array) -> tuple[Array, Array, Array]:
     """Triangles (F, 3, 3), (B, 3, 3) and (S, 3, 3) of fronts, backs and sides.
 
-    Parameters
-    ----------
-    found
-        Points and which belong together.
-    things
-        (h, w): which of them are things; others, such as walls, are left out.
-    thickness
-        (h, w): how far along the ray the back is, in the unit of depth.
+    `things` (h, w) says which points are of things; others, such as walls, are left out. Their
+    `thickness` (h, w) is how far along the ray the back is, in the unit of depth.
     """
     height, width = things.shape
     rows = found.rows[0] + found.step * (np.arange(height + 1) - 0.5)

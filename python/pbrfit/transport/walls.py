@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit.transport.relief import Array, Mask, Relief, pairs, pieces
 
@@ -34,34 +33,24 @@ AGREES, UPRIGHT = np.cos(np.radians(25.0)), np.sin(np.radians(25.0))
 """Least cosine between the normal of a wall and those of its points, and of a floor's and up;
 greatest cosine between an upright wall's and up."""
 MOST_WALLS = 12
-"""Walls at most."""
 PICTURE_UP = np.cos(np.radians(70.0))
 """Least Y of a floor's normal: the camera looks down at most this steeply."""
 
 
 @dataclass(frozen=True, eq=False)
 class Wall:
-    """A plane that bounds a scene: a wall, the floor, the ceiling.
-
-    Attributes
-    ----------
-    normal
-        (3,) unit, camera space, into the room.
-    offset
-        normal·x of its points, in the unit of depth; negative, because the camera is in front.
-    corners
-        (4, 3): rectangle around what is seen of it, sides level and upright.
-    pixels
-        (H, W): where it is seen.
-    level
-        1 = floor, −1 = ceiling, 0 = anything else.
-    """
+    """A plane that bounds a scene: a wall, the floor, the ceiling."""
 
     normal: Array
+    """(3,) unit, camera space, into the room."""
     offset: float
+    """normal·x of its points, in the unit of depth; negative, because the camera is in front."""
     corners: Array
+    """(4, 3): rectangle around what is seen of it, sides level and upright."""
     pixels: Mask
+    """(H, W): where it is seen."""
     level: int
+    """1 = floor, −1 = ceiling, 0 = anything else."""
 
     def above(self, points: Array) -> Array:
         """Distance (...) of points (..., 3) from the plane, positive in front of it."""
@@ -70,32 +59,25 @@ class Wall:
 
 @dataclass(frozen=True)
 class Plane:
-    """A plane, and its share of the picture.
-
-    `spread` is the root mean square distance of its points from it, in the unit of depth.
-    """
+    """A plane, and its share of the picture."""
 
     normal: Array
     offset: float
     share: float
     spread: float
+    """Root mean square distance of its points from it, in the unit of depth."""
 
 
 def find_walls(found: Relief, points: Array, normals: Array, mask: Mask) -> tuple[Wall, ...]:
-    """Find walls, floor and ceiling, the largest first.
-
-    They are planes of regions that are grown over neighbours of about one normal.
-
-    Parameters
-    ----------
-    found, points, normals, mask
-        The surface that pixels show, and what it was made of.
-    """
+    """Find walls, floor and ceiling, the largest first, in a surface and what it was made of."""
     here = found.here
     seen, facing = found.points[here], found.normals[here]
     scale = float(np.median(-seen[:, 2]))
     slack = found.noise * scale
-    regions = _regions(found)[here]
+    # Regions are grown over jumpless neighbours of about one normal.
+    alike = (np.einsum("hwi,hwi->hw", a, b) > PARALLEL for a, b in pairs(found.normals))
+    links = (link & one for link, one in zip((found.right, found.down), alike, strict=True))
+    regions = pieces(here, *links)[here]
     sizes = np.bincount(regions)
     large = np.flatnonzero(sizes >= max(SLIVER * len(seen), FEWEST))
     fitted = (_fitted(seen, facing, regions == one, scale, slack) for one in large)
@@ -208,10 +190,3 @@ def _apart(plane: Plane, other: Plane) -> float:
     # Where the view meets them: planes that are not quite parallel are compared before the camera.
     normal = _unit(plane.normal + other.normal)
     return float(plane.offset / (plane.normal @ normal) - other.offset / (other.normal @ normal))
-
-
-def _regions(found: Relief) -> NDArray[np.int32]:
-    """(h, w): numbers of regions grown over jumpless neighbours of about one normal."""
-    alike = (np.einsum("hwi,hwi->hw", a, b) > PARALLEL for a, b in pairs(found.normals))
-    right, down = (link & one for link, one in zip((found.right, found.down), alike, strict=True))
-    return pieces(found.here, right, down)

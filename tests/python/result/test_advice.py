@@ -14,7 +14,7 @@ from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
 from pbrfit.result import advice
 from pbrfit.result.advice import next_steps
-from pbrfit.result.camera import Camera
+from pbrfit.result.camera import FOV_DOUBTED, Camera
 from pbrfit.result.data import Status
 from pbrfit.result.light_sides import ASIDE, ONE_SIDE, main_directions, one_side, unlit_sides
 from pbrfit.result.result import Result
@@ -94,8 +94,8 @@ def test_no_more_than_a_few_are_named(good: Result) -> None:
     [
         (Camera(60.0, "given"), None),
         (Camera(60.0, "assumed"), "is a guess, 60 degrees: the true one (option fov) would help"),
-        (Camera(52.0, "fitted", advice.FOV_DOUBTED), None),
-        (Camera(52.0, "fitted", 1.01 * advice.FOV_DOUBTED), "52 ± 5 degrees, fitted: the true one"),
+        (Camera(52.0, "fitted", FOV_DOUBTED), None),
+        (Camera(52.0, "fitted", 1.01 * FOV_DOUBTED), "52 ± 5 degrees, fitted: the true one"),
         (CONTRADICTED, "but the pictures fit far better with about 88 ± 2: see"),
     ],
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +85,7 @@ WRONG: list[dict[str, Any]] = [
 @pytest.mark.parametrize("wrong", WRONG, ids=str)
 def test_other_content_is_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(UNFIT):
-        HeldOut.from_json(EXPLAINED.as_json() | wrong)
+        HeldOut.from_json(asdict(EXPLAINED) | wrong)
 
 
 @pytest.mark.parametrize("held_out", [EXPLAINED, None])

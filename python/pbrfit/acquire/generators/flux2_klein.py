@@ -17,7 +17,6 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from pbrfit._core import InputError
@@ -127,8 +126,13 @@ class Flux2Klein:
                 output_type="np",
                 **options,
             )
+        if not np.isfinite(output.images[0]).all():
+            raise InputError(
+                f"{KIND}: expected finite pixels, found NaN, as {made['dtype']} gives where it "
+                "overflows; --dtype bfloat16 or float32 does not"
+            )
         return Generated(
-            pixels=frame.from_model(_in_bytes(output.images[0], made["dtype"])),
+            pixels=frame.from_model(np.rint(255 * output.images[0]).astype(np.uint8)),
             record={
                 **made,
                 "guidance": self.guidance,
@@ -207,12 +211,3 @@ class Flux2Klein:
                 f"prompt {name}: expected at most {PROMPT_TOKENS} tokens, of which the network "
                 f"reads no more, found {tokens}"
             )
-
-
-def _in_bytes(picture: NDArray[np.floating[Any]], dtype: str) -> NDArray[np.uint8]:
-    if not np.isfinite(picture).all():
-        raise InputError(
-            f"{KIND}: expected finite pixels, found NaN, as {dtype} gives where it overflows; "
-            "--dtype bfloat16 or float32 does not"
-        )
-    return np.asarray(np.rint(255 * picture), dtype=np.uint8)

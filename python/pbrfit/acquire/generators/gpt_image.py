@@ -45,12 +45,6 @@ ADDRESS = "OPENAI_BASE_URL"
 
 QUALITIES = ("low", "medium", "high", "auto")
 
-TIMEOUT = 600.0
-"""Seconds for one picture. A request that is given up is billed all the same, so it is generous."""
-
-RETRIES = 4
-"""How often the client asks again after 408, 409, 429, 5xx and broken connections."""
-
 MOST_BYTES = 2**27
 """Length of an answer, as sent and unpacked. The largest picture of the service, 3840 × 2160 of 16
 bits a channel, takes 71 MB in base64 where nothing can be compressed."""
@@ -83,10 +77,10 @@ class GptImage:
     """Any of the models that take free sizes."""
     quality: str = "high"
     """One of `QUALITIES`; decides most of the price."""
-    max_retries: int = RETRIES
-    """By the client, with growing pauses."""
-    timeout: float = TIMEOUT
-    """Seconds for one answer."""
+    max_retries: int = 4
+    """After 408, 409, 429, 5xx and broken connections, by the client, with growing pauses."""
+    timeout: float = 600.0
+    """Seconds for one answer: generous, as a request that is given up is billed all the same."""
 
     name = "gpt-image-2"
     retries = True
@@ -129,12 +123,15 @@ class GptImage:
         around = frame(photo.size, GPT_IMAGE_2)
         sent = images.encode_png(around.to_model(photo.srgb8()), tag=None)
         height, width = around.padded
+        prompt = request.prompt
+        if request.negative:
+            prompt += f"\n\nAvoid: {request.negative.rstrip('. ')}."
         start = time.monotonic()
         try:
             answer = self._client.images.with_raw_response.edit(
                 model=self.model,
                 image=("photo.png", sent, "image/png"),
-                prompt=_with_negative(request),
+                prompt=prompt,
                 size=f"{width}x{height}",
                 quality=self.quality,
                 n=1,
@@ -233,7 +230,8 @@ class GptImage:
         import openai
 
         body = getattr(error, "body", None)
-        said = self._clean(str(body.get("message") if isinstance(body, dict) else error))
+        said = str(body.get("message") if isinstance(body, dict) else error)
+        said = shown(" ".join(said.replace(self._client.api_key, "***").split()))
         if isinstance(error, openai.BadRequestError) and error.code == "moderation_blocked":
             raise Refused(_refusal(body, said)) from None
         if isinstance(error, openai.AuthenticationError):
@@ -245,7 +243,10 @@ class GptImage:
         if isinstance(error, openai.APITimeoutError):
             problem = f"none within {self.timeout:g} s, asked {tries} times"
         elif isinstance(error, openai.APIConnectionError):
-            problem = f"a broken connection, {tries} times ({_root(error)})"
+            cause: BaseException = error
+            while cause.__cause__ is not None:
+                cause = cause.__cause__
+            problem = f"a broken connection, {tries} times ({type(cause).__name__})"
         elif isinstance(error, openai.RateLimitError):
             problem = f"too many requests or no credit left (429), {tries} times: {said}"
         elif isinstance(error, openai.InternalServerError):
@@ -257,10 +258,6 @@ class GptImage:
         else:
             problem = said
         raise InputError(f"{self._service}: expected a picture, found {problem}") from None
-
-    def _clean(self, text: str) -> str:
-        """One line that a terminal can print, not endless, without the key."""
-        return shown(" ".join(text.replace(self._client.api_key, "***").split()))
 
 
 def _bound(response: Any, seconds: float) -> None:
@@ -321,12 +318,6 @@ def _usage(told: object) -> dict[str, Any] | None:
     return usage
 
 
-def _with_negative(request: Request) -> str:
-    if not request.negative:
-        return request.prompt
-    return f"{request.prompt}\n\nAvoid: {request.negative.rstrip('. ')}."
-
-
 def _refusal(body: object, said: str) -> str:
     """Why moderation refused, with the stage and the categories where the service tells them."""
     details = body.get("moderation_details") if isinstance(body, dict) else None
@@ -336,10 +327,3 @@ def _refusal(body: object, said: str) -> str:
     named = details.get("categories")
     categories = listed(map(str, named)) if isinstance(named, list) else ""
     return f"refused by moderation ({stage}; categories: {categories or 'none named'}): {said}"
-
-
-def _root(error: BaseException) -> str:
-    """Name of what broke the connection."""
-    while error.__cause__ is not None:
-        error = error.__cause__
-    return type(error).__name__

@@ -86,9 +86,7 @@ class Check:
     bound: float
     """What was found, and where it begins to be too much (or too little)."""
     passed: bool
-    """Whether it is right."""
     note: str
-    """A sentence for people."""
 
     @property
     def excess(self) -> float:
@@ -168,15 +166,23 @@ class Reviewer:
         from pbrfit.threads import one_blas_thread
 
         with one_blas_thread():  # small systems: more threads only wait for each other
-            return self._together([self._reduced(pixels) for pixels in pictures])
+            return self._together(pictures)
 
-    def _together(self, pictures: Sequence[NDArray[np.float32]]) -> list[Verdict]:
+    def _together(self, pictures: Sequence[NDArray[Any]]) -> list[Verdict]:
         verdicts = [Verdict(())] * len(pictures)
         left = list(range(len(pictures)))
         out: list[int] = []
-        if len(left) + 1 < illumination.FEWEST:
+        small = [self._photo, *map(self._reduced, pictures)]
+        if len(small) < illumination.FEWEST:
             return verdicts
-        photo, *members = (self._member(picture) for picture in (self._photo, *pictures))
+        photo, *members = (
+            _Member(
+                alignment.edges(picture, self._mask),
+                structure.gradients(picture, self._mask),
+                averaged_channels(picture, self._low).reshape(-1, 3),
+            )
+            for picture in small
+        )
         while len(left) + 1 >= illumination.FEWEST:
             judged = self._judge([photo, *(members[i] for i in left)])
             for i, verdict in zip(left, judged, strict=True):
@@ -231,13 +237,6 @@ class Reviewer:
             content = self._content(kept, bright, usual, len(members))
             verdicts.append(Verdict((*aligned, self._colour(residual, len(members)), content)))
         return verdicts
-
-    def _member(self, picture: NDArray[np.float32]) -> _Member:
-        return _Member(
-            alignment.edges(picture, self._mask),
-            structure.gradients(picture, self._mask),
-            averaged_channels(picture, self._low).reshape(-1, 3),
-        )
 
     def _reduced(self, pixels: NDArray[Any]) -> NDArray[np.float32]:
         if pixels.shape != self.shape:

@@ -89,8 +89,7 @@ def fragment(
         "units": maps.UNITS,
         "deviations": _deviations(result),
         **lighting.data([tile.exposure for tile in tiles], exposure),
-        "environmentLobes": _environment_lobes(result.model),
-        **_table(result.model),
+        **_tables(result.model),
     }
     still = lighting.under_lamp(maps.of_result(result, min(max_side, STATIC_SIDE)))
     picture = raster.picture_png(encoded(still, exposure, "neutral"))
@@ -162,20 +161,17 @@ def _shaders(model: Model) -> dict[str, str]:
     }
 
 
-def _table(model: Model) -> dict[str, Any]:
-    """What the shader of a model takes from a table, by name."""
-    if model == "principled":
-        return {"lobes": lobes.data()}
-    bands, _ = ggx_band_weights(np.linspace(0, 1, BAND_NODES))
-    return {"bands": [float(f"{value:.8g}") for value in bands.ravel()]}
-
-
-def _environment_lobes(model: Model) -> dict[str, Any]:
-    """The table that panoramas are reflected by, as float32 texels of four numbers."""
+def _tables(model: Model) -> dict[str, Any]:
+    """What the shaders of a model take from tables, by name."""
+    # By which panoramas are reflected, as float32 texels of four numbers.
     table = environment_lobes(model)
     rows, columns, count = table.shape[:3]
     nodes = in_base64(table.astype("<f4").tobytes())
-    return {"columns": columns * count, "rows": rows, "nodes": nodes}
+    found = {"environmentLobes": {"columns": columns * count, "rows": rows, "nodes": nodes}}
+    if model == "principled":
+        return found | {"lobes": lobes.data()}
+    bands, _ = ggx_band_weights(np.linspace(0, 1, BAND_NODES))
+    return found | {"bands": [float(f"{value:.8g}") for value in bands.ravel()]}
 
 
 def _text(name: str) -> str:

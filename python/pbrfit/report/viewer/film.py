@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import base64
 import io
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from pbrfit.display.tone import encoded
 from pbrfit.report import budget
-from pbrfit.report.html import png_address
+from pbrfit.report.html import in_base64, png_address
 from pbrfit.report.raster import picture_png, reduced
 from pbrfit.report.viewer.lights import Lighting, exposure_of
+from pbrfit.result.metrics import stops
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import in_pieces
 
@@ -50,7 +47,16 @@ def of_scene(scene: Scene, whites: Sequence[float], limit: float) -> list[Tile]:
     """The inputs, each with its white, as large as fits into `limit` bytes."""
 
     def tile(i: int, side: int) -> Tile:
-        return _input(scene.images[i], whites[i], side)
+        exposure = stops(whites[i])
+        finite = np.nan_to_num(scene.images[i], nan=0.0, posinf=0.0, neginf=0.0)
+        shown = encoded(reduced(finite, side), exposure, "neutral")
+        if max(shown.shape) <= LOSSLESS_SIDE:
+            return Tile(png_address(picture_png(shown)), exposure, original=True)
+        codes = np.rint(255 * shown).astype(np.uint8)
+        buffer = io.BytesIO()
+        Image.fromarray(codes).save(buffer, "JPEG", quality=QUALITY, subsampling=0)
+        address = f"data:image/jpeg;base64,{in_base64(buffer.getvalue())}"
+        return Tile(address, exposure, original=True)
 
     sides = budget.sides_for(max(scene.valid.shape), SIDES)
     # One picture out of the middle tells how large all will be.
@@ -73,16 +79,3 @@ def of_lights(lighting: Lighting) -> list[Tile]:
         shown = encoded(reduced(radiance, THUMB_SIDE), exposure, "neutral")
         tiles.append(Tile(png_address(picture_png(shown)), exposure, original=False))
     return tiles
-
-
-def _input(image: NDArray[np.floating[Any]], white: float, side: int) -> Tile:
-    exposure = round(0.0 - math.log2(white), 1)
-    finite = np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0)
-    shown = encoded(reduced(finite, side), exposure, "neutral")
-    if max(shown.shape) <= LOSSLESS_SIDE:
-        return Tile(png_address(picture_png(shown)), exposure, original=True)
-    codes = np.rint(255 * shown).astype(np.uint8)
-    buffer = io.BytesIO()
-    Image.fromarray(codes).save(buffer, "JPEG", quality=QUALITY, subsampling=0)
-    content = base64.b64encode(buffer.getvalue()).decode("ascii")
-    return Tile(f"data:image/jpeg;base64,{content}", exposure, original=True)

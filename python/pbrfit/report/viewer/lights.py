@@ -39,8 +39,7 @@ def around(result: Result) -> Array:
         light = np.zeros((16, 3))
         light[0] = 2 * math.sqrt(math.pi)
         return light
-    light = np.mean(found[used] / means[used, None, None], axis=0)
-    return np.asarray(light)
+    return np.asarray(np.mean(found[used] / means[used, None, None], axis=0))
 
 
 class Lighting:
@@ -90,8 +89,7 @@ class Lighting:
 
 def exposure_of(radiance: Array) -> float:
     """Stops that bring the 98th percentile to white, to a tenth."""
-    white = metrics.white_of(radiance) if np.isfinite(radiance).any() else 1.0
-    return round(0.0 - math.log2(white), 1)
+    return metrics.stops(metrics.white_of(radiance)) if np.isfinite(radiance).any() else 0.0
 
 
 def _split(result: Result) -> tuple[Array, list[tuple[Array, Array]]]:

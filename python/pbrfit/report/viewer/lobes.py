@@ -6,7 +6,6 @@ import struct
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit._core import lobe_table
 from pbrfit.report.html import in_base64
@@ -28,7 +27,10 @@ def data() -> dict[str, Any]:
     `low` plus `step` times its code. `codes` is a zlib stream in base64, prediction errors as in
     `maps.packed`: a plane of n·v (columns) and r (rows) for each function.
     """
-    axes, coefficients = _splines()
+    table = lobe_table()
+    _, by_r, by_cosine, *bends = HEADER.unpack_from(table)
+    stored = np.frombuffer(table, "<f4", offset=HEADER.size).astype(np.float64)
+    coefficients = stored.reshape(by_r + 3, by_cosine + 3, STORED)
     planes = np.moveaxis(coefficients[..., :FUNCTIONS], -1, 0)
     low = [float(plane.min()) for plane in planes]
     step = [float(np.ptp(plane)) / CODES for plane in planes]
@@ -36,15 +38,5 @@ def data() -> dict[str, Any]:
         np.rint((plane - least) / unit).astype(np.uint16)
         for plane, least, unit in zip(planes, low, step, strict=True)
     )
+    axes = [(by_cosine, *bends[2:]), (by_r, *bends[:2])]
     return {"axes": axes, "low": low, "step": step, "codes": in_base64(codes)}
-
-
-def _splines() -> tuple[list[tuple[int, float, float]], NDArray[np.float64]]:
-    """Axes by n·v and by r, and coefficients (cells by r + 3, cells by n·v + 3, functions)."""
-    table = lobe_table()
-    _, by_r, by_cosine, *bends = HEADER.unpack_from(table)
-    coefficients = np.frombuffer(table, "<f4", offset=HEADER.size).astype(np.float64)
-    return (
-        [(by_cosine, *bends[2:]), (by_r, *bends[:2])],
-        coefficients.reshape(by_r + 3, by_cosine + 3, STORED),
-    )
