@@ -37,24 +37,16 @@ NORMALS_OFF = 8.0
 
 @dataclass(frozen=True)
 class Handled(Way):
-    """A level of damage and what is done about it.
-
-    Attributes
-    ----------
-    level
-        Of the pictures.
-    review
-        Whether pictures are reviewed first.
-    normals
-        "true", or "estimated": with the errors of an estimator, and with a network's depth.
-    path
-        Whether commands do it, from files to files.
-    """
+    """A level of damage and what is done about it."""
 
     level: Level = "repainted"
+    """Of the pictures."""
     review: bool = False
+    """Whether pictures are reviewed first."""
     normals: str = "true"
+    """"true", or "estimated": with the errors of an estimator, and with a network's depth."""
     path: bool = False
+    """Whether commands do it, from files to files."""
 
 
 WAYS: Mapping[str, Handled] = {
