@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import os
 import secrets
 import shutil
@@ -243,6 +244,17 @@ def _check_ours(folder: Path) -> None:
             f"{folder}: expected an earlier output of a suite, found {strange[0]}; remove it "
             "yourself if it is not needed"
         )
+
+
+@contextmanager
+def unlogged() -> Iterator[None]:
+    """What is done inside logs nothing: it would say the same for each way, or too much."""
+    logger = logging.getLogger("pbrfit")
+    before, logger.disabled = logger.disabled, True
+    try:
+        yield
+    finally:
+        logger.disabled = before
 
 
 @contextmanager

@@ -10,7 +10,6 @@ TPAMI 41, 2019), DiLiGenT10² (Ren et al., CVPR 2022), LUCES (Mecca et al., BMVC
 
 from __future__ import annotations
 
-import logging
 import re
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -31,6 +30,7 @@ from pbrfit.model.lamps import Lamps
 from pbrfit.scene import folder as scene_folder
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.heldout.public_sets import ROOMS, SETS, Source, room_source
+from pbrfit_evaluation.jobs import unlogged
 from pbrfit_evaluation.normal_errors import unit
 
 Array = NDArray[np.float64]
@@ -176,13 +176,8 @@ def opened(
 
     Raises InputError or OSError if a file cannot be used.
     """
-    logger = logging.getLogger("pbrfit")
-    with scene_of(source) as folder:
-        before, logger.disabled = logger.disabled, True  # it would say the same for each way
-        try:
-            scene = Scene.load(folder, max_size=max_size, color_space=color_space)
-        finally:
-            logger.disabled = before
+    with scene_of(source) as folder, unlogged():
+        scene = Scene.load(folder, max_size=max_size, color_space=color_space)
     count = len(scene.images)
     lamps = _lamps(source, scene)
     if lamps is not None and len(lamps) != count:

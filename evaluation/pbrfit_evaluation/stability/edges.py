@@ -22,7 +22,7 @@ from pbrfit.result.result import Result
 from pbrfit.result.verdict import PARAMETERS, ROUGH_ERROR
 from pbrfit.scene.arrays import Truth
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.jobs import Values
+from pbrfit_evaluation.jobs import Values, unlogged
 from pbrfit_evaluation.stability.double_precision import (
     MIN_COSINE,
     Array,
@@ -296,7 +296,7 @@ def _exact_lamp(normal: Array, view: Array, lamp: Array, rho: Any, r: Any, m: An
 
 def fitted(one: EdgeScene, threads: int) -> dict[str, Any]:
     """How a fit ended, and what must not be found of it."""
-    with warnings.catch_warnings(record=True) as said:
+    with unlogged(), warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         try:
             scene = Scene(**one.given)
@@ -306,7 +306,8 @@ def fitted(one: EdgeScene, threads: int) -> dict[str, Any]:
             of_fit = {"ended by": f"refused: {error}"}
         except Exception as error:  # whatever it is, the other scenes are fitted
             of_fit = {"fits_failed": 1, "ended by": f"{type(error).__name__}: {error}"}
-    warned = [of for of in said if issubclass(of.category, RuntimeWarning)]
+    warned = [str(of.message) for of in said if issubclass(of.category, RuntimeWarning)]
+    of_fit["ended by"] = "; ".join([of_fit["ended by"], *warned])
     return {"fits_failed": 0, "fits_warned": len(warned), **of_fit}
 
 
