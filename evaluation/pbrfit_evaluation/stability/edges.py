@@ -92,9 +92,10 @@ def _one_lit(rng: Generator, case: Case) -> Case:
     return _shown(case, case.images * lit[:, None])
 
 
+METALS = "m 0 or 1"
 SURFACES: Mapping[str, Change] = {
     "r 0, 10⁻³, 1 − 10⁻⁷ or 1": _one_of("roughness", 0.0, 1e-3, 1 - 1e-7, 1.0),
-    "m 0 or 1": _one_of("metallic", 0.0, 1.0),
+    METALS: _one_of("metallic", 0.0, 1.0),
     "ρ 0 or 1": _one_of("albedo", 0.0, 1.0),
     "n·v from 10⁻⁴": grazing(-4.0),
     "pixels alike": _alike,
@@ -301,7 +302,7 @@ def fitted(one: EdgeScene, threads: int) -> dict[str, Any]:
         try:
             scene = Scene(**one.given)
             result = decompose(scene, iterations=ITERATIONS, threads=threads, **one.options)
-            of_fit = _facts(result)
+            of_fit = _facts(one, result)
         except InputError as error:
             of_fit = {"ended by": f"refused: {error}"}
         except Exception as error:  # whatever it is, the other scenes are fitted
@@ -311,11 +312,14 @@ def fitted(one: EdgeScene, threads: int) -> dict[str, Any]:
     return {"fits_failed": 0, "fits_warned": len(warned), **of_fit}
 
 
-def _facts(result: Result) -> dict[str, Any]:
+def _facts(one: EdgeScene, result: Result) -> dict[str, Any]:
+    # A fit under lamps takes each pixel for a metal or a dielectric: mixtures are not of its model.
+    mixed = one.lamps is not None and METALS not in one.edges
     wrong = [
         name
         for name, verdict in result.verdicts.items()
         if verdict.level == "usable" and result.metrics.get(f"{name}_rmse", 0) > ROUGH_ERROR[name]
     ]
     ended = f"{result.status}, {result.history.iterations} iterations"
-    return {**nonsense(result), "fits_misjudged": len(wrong), "ended by": ended.replace("_", " ")}
+    misjudged = {"mixed_misjudged" if mixed else "fits_misjudged": len(wrong)}
+    return {**nonsense(result), **misjudged, "ended by": ended.replace("_", " ")}

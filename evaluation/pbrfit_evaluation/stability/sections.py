@@ -177,6 +177,7 @@ SECTIONS = {
             "fits_not_finite": ("numbers of a fit that are infinite or not a number", 0),
             "fits_beyond": ("numbers of maps, deviations and bounds out of range", 0),
             "fits_misjudged": ("maps called usable that are no rough guide", 0),
+            "mixed_misjudged": ("the same of mixtures of metal and dielectric under lamps", None),
         },
     ),
 }
