@@ -16,9 +16,11 @@ from pathlib import Path
 import numpy as np
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "evaluation"))
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 
 from test_cycles import sphere_errors
 
+from cycles_sphere import relative_rmse
 from pbrfit import Scene
 from pbrfit.io.color import encode_srgb
 from pbrfit.kernel import render
@@ -28,7 +30,6 @@ from pbrfit_evaluation.cycles import SAMPLES, Light, Transport, render_scene
 from pbrfit_evaluation.cycles.export import export
 from pbrfit_evaluation.cycles.job import Job, rendered
 from pbrfit_evaluation.cycles.scene import inner_pixels
-from pbrfit_evaluation.cycles.spheres import relative_rmse
 from pbrfit_evaluation.report import evidence, markdown
 from pbrfit_evaluation.suite import Table, Value
 

@@ -43,21 +43,9 @@ LEAST = 0.05
 
 
 def disturbed(depth: Floats, rng: Generator, *, noise: float = NOISE) -> Array:
-    """True depth with the errors of a network.
+    """True depth (H, W) along the camera's axis with the errors of a network, in its unit.
 
-    Parameters
-    ----------
-    depth
-        (H, W), distance along the camera's axis, in any unit; NaN = unknown.
-    rng
-        Source of randomness.
-    noise
-        Standard deviation of the relative noise.
-
-    Returns
-    -------
-    ndarray
-        (H, W) in the same unit, NaN in the same places.
+    `noise` is the standard deviation of the relative noise. NaN, unknown, stays NaN.
     """
     known = np.isfinite(depth)
     true = np.where(known, depth, 1.0).astype(np.float64)

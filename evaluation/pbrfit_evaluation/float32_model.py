@@ -34,19 +34,13 @@ BAND_DEGREE = 16
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Pictures of P pixels, and what of the model depends on the view alone.
-
-    Attributes
-    ----------
-    images
-        (N, P, 3) linear radiance.
-    normals, views
-        (P, 3) float64 unit vectors.
-    """
+    """Pictures of P pixels, and what of the model depends on the view alone."""
 
     images: Float32
+    """(N, P, 3) linear radiance."""
     normals: NDArray[np.float64]
     views: NDArray[np.float64]
+    """`normals` and `views`: (P, 3) float64 unit vectors."""
 
     @property
     def pixels(self) -> int:

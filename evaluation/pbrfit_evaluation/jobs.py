@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import os
 import secrets
 import shutil
@@ -90,25 +91,12 @@ def run(
 ) -> list[Record]:
     """Do all tasks, or take their records from an earlier run.
 
-    Parameters
-    ----------
-    tasks
-        With different keys.
-    work
-        A function of a module, called with a task and the number of threads it may use.
-    folder
-        Exists. Records that are there already are used again if they are of the same task and
-        code, and ended well.
-    jobs, cluster
-        How many tasks run at the same time, and where; see `pbrfit.batch.driver.workers`.
-    progress
-        Called with each record, found or made.
-
-    Returns
-    -------
-    list of Record
-        In the order of `tasks`. A task that raises ends in a record with an error and does not
-        stop the others.
+    Keys of tasks differ. `work`, a function of a module, is called with a task and the number of
+    threads it may use. Records that are in the folder already are used again if they are of the
+    same task and code, and ended well. `jobs` and `cluster` say how many tasks run at the same
+    time, and where (`pbrfit.batch.driver.workers`); `progress` is called with each record, found or
+    made. Returns records in the order of tasks; one that raises ends in a record with an error and
+    does not stop the others.
     """
     records = folder / RECORDS
     records.mkdir(exist_ok=True)
@@ -230,11 +218,8 @@ def _measuring(folder: Path) -> list[Path]:
 def prepare(folder: Path, *, resume: bool, overwrite: bool) -> None:
     """Make the folder, or clear it, or leave it as it is to go on with its records.
 
-    Raises
-    ------
-    FileExistsError
-        If something is there that may not be replaced (see `pbrfit.io.output.check_free`), or its
-        records are not those of a suite.
+    Raises FileExistsError if something is there that may not be replaced (see
+    `pbrfit.io.output.check_free`), or its records are not those of a suite.
     """
     there = folder / RECORDS
     if there.is_dir() and (resume or overwrite):
@@ -259,6 +244,17 @@ def _check_ours(folder: Path) -> None:
             f"{folder}: expected an earlier output of a suite, found {strange[0]}; remove it "
             "yourself if it is not needed"
         )
+
+
+@contextmanager
+def unlogged() -> Iterator[None]:
+    """What is done inside logs nothing: it would say the same for each way, or too much."""
+    logger = logging.getLogger("pbrfit")
+    before, logger.disabled = logger.disabled, True
+    try:
+        yield
+    finally:
+        logger.disabled = before
 
 
 @contextmanager

@@ -44,11 +44,6 @@ def smooth(shape: tuple[int, int], scale: float, rng: Generator) -> Array:
     A sum of plane waves whose wave vectors have the field's spectrum, a Gaussian of standard
     deviation 1/scale in each component. Distances are shares of the picture's width, so the field
     is the same at any size.
-
-    Returns
-    -------
-    ndarray
-        Of `shape`, (H, W).
     """
     height, width = shape
     y, x = np.mgrid[:height, :width] / width
@@ -117,26 +112,12 @@ def as_estimated(
     *,
     strength: float = 1.0,
 ) -> Array:
-    """True normals with the errors of an estimator.
+    """True normals (H, W, 3) with the errors of an estimator: unit vectors that face the camera.
 
-    Parameters
-    ----------
-    normals
-        (H, W, 3) unit vectors in camera space.
-    views
-        (H, W, 3) unit vectors from the surface to the camera.
-    segments
-        (H, W) ids of objects.
-    rng
-        Source of randomness; the same state gives the same errors at any picture size, but for
-        what a coarser picture does not show.
-    strength
-        Factor of all angles and of the blur, but not of the lengths over which errors are alike.
-
-    Returns
-    -------
-    ndarray
-        (H, W, 3) unit vectors that face the camera.
+    `views` (H, W, 3) are unit vectors from the surface to the camera, `segments` (H, W) ids of
+    objects. The same state of `rng` gives the same errors at any picture size, but for what a
+    coarser picture does not show. `strength` is a factor of all angles and of the blur, but not of
+    the lengths over which errors are alike.
     """
     from scipy.ndimage import gaussian_filter
 

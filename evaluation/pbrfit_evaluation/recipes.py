@@ -71,24 +71,16 @@ def within(maps: Materials, valid: NDArray[np.bool_]) -> Materials:
 
 @dataclass(frozen=True)
 class Way:
-    """A way to explain a scene: `pbrfit.decompose`, by some options, from some start.
-
-    Attributes
-    ----------
-    words
-        In tables; empty where there is but one way.
-    options
-        Of `pbrfit.decompose`.
-    start
-        Of a scene, where the fit starts, perhaps with lights; None = where it starts by itself.
-    guess
-        Whether nothing is fitted but the lights.
-    """
+    """A way to explain a scene: `pbrfit.decompose`, by some options, from some start."""
 
     words: str
+    """In tables; empty where there is but one way."""
     options: Mapping[str, Any] = field(default_factory=dict)
+    """Of `pbrfit.decompose`."""
     start: Callable[[Scene], Start] | None = None
+    """Of a scene, where the fit starts, perhaps with lights; None = where it starts by itself."""
     guess: bool = False
+    """Whether nothing is fitted but the lights."""
 
     def explain(self, scene: Scene, **common: Any) -> Result:
         """Fit a scene by the options, which take precedence over those that ways have in common.
@@ -128,10 +120,7 @@ def constant_guess(scene: Scene) -> Materials:
     No map at all does as well as this one in albedo without knowing the truth, so a method that
     does worse has recovered nothing.
 
-    Raises
-    ------
-    InputError
-        Without ground truth.
+    Raises InputError without ground truth.
     """
     if scene.truth is None:
         raise InputError("scene: expected ground truth for a constant guess, found none")

@@ -164,62 +164,42 @@ class Results(Generic[C]):
 
 @dataclass(frozen=True)
 class Row:
-    """One line of a suite's results, as in summary.json.
-
-    Attributes
-    ----------
-    name
-        What the line is about.
-    scenes
-        How many scenes were measured, 0 where it is not about scenes.
-    solver
-        The one that was run, None where there is none.
-    metrics
-        Figures by name. What is not a finite number is written as null.
-    paper
-        The paper's figures under the same names, where it has any.
-    status
-        "ok", "not held", or why the line was not run.
-    guess
-        Whether nothing was fitted, so that no figure is marked as the best; not in summary.json.
-    private
-        Whether documentation leaves out rows of this name, and lines of tables that begin with it.
-    """
+    """One line of a suite's results, as in summary.json."""
 
     name: str
+    """What the line is about."""
     scenes: int
+    """How many scenes were measured, 0 where it is not about scenes."""
     solver: str | None
+    """The one that was run, None where there is none."""
     metrics: Mapping[str, float | None]
+    """Figures by name. What is not a finite number is written as null."""
     paper: Mapping[str, float] | None = None
+    """The paper's figures under the same names, where it has any."""
     status: str = "ok"
+    """"ok", "not held", or why the line was not run."""
     guess: bool = False
+    """Whether nothing was fitted, so that no figure is marked as the best; not in summary.json."""
     private: bool = False
+    """Whether documentation leaves out rows of this name, and lines of tables that begin with it.
+    """
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """A figure and what it has to be.
-
-    Attributes
-    ----------
-    what
-        In words.
-    value
-        The figure; one that is not a number holds nothing.
-    bar
-        At most this; at least, where `at_least`. None = reported only.
-    where
-        What else belongs to the figure: where the worst was found, why the bar is what it is.
-    part
-        Of the suite; by default that whose verdict it is.
-    """
+    """A figure and what it has to be."""
 
     what: str
+    """In words."""
     value: float
+    """The figure; one that is not a number holds nothing."""
     bar: float | None
+    """At most this; at least, where `at_least`. None = reported only."""
     where: str = ""
+    """What else belongs to the figure: where the worst was found, why the bar is what it is."""
     at_least: bool = False
     part: str = ""
+    """Of the suite; by default that whose verdict it is."""
 
     @property
     def holds(self) -> bool:
@@ -383,26 +363,19 @@ def _all_rows(_: Any, rows: Sequence[Row]) -> Sequence[Section]:
 
 @dataclass(frozen=True)
 class Part(Generic[C]):
-    """A kind of cases of a suite, with what is made of them.
-
-    Attributes
-    ----------
-    name
-        As `--part` names it, where the suite has several.
-    cases, run, figures, verdicts, sections
-        See the top of this file.
-    files
-        Other files than CSV ones, by name.
-    """
+    """A kind of cases of a suite, with what is made of them."""
 
     name: str
+    """As `--part` names it, where the suite has several."""
     cases: Callable[[Options], Sequence[C]]
     run: Callable[[C, int], Values]
     figures: Callable[[Results[C]], Sequence[Row]]
     _: KW_ONLY
     verdicts: Callable[[Results[C], Sequence[Row]], Iterable[Verdict]] = _nothing
     sections: Callable[[Results[C], Sequence[Row]], Iterable[Section]] = _all_rows
+    """`cases`, `run`, `figures`, `verdicts` and `sections`: see the top of this file."""
     files: Callable[[Results[C]], Mapping[str, bytes]] = lambda _: {}
+    """Other files than CSV ones, by name."""
 
     @classmethod
     def shown_by(
@@ -427,43 +400,31 @@ class Part(Generic[C]):
 
 @dataclass(frozen=True)
 class Suite:
-    """A sub-command of `pbrfit evaluate`.
-
-    Attributes
-    ----------
-    name, title
-        Of the command, and of its report.
-    protocol
-        Name and version of how things are measured: results under one name compare. `{size}` and
-        the like are replaced by the options.
-    parts
-        With several, `--part` chooses.
-    options
-        Functions that add an option to the parser: those of `options`, or such as
-        `pbrfit.commands.arguments.add_threads`. With the latter, `run` gets as many threads as are
-        asked for.
-    effort
-        Sizes and counts: name -> (full, with `--quick`). An option of the name that is None is set
-        from here, and its help tells both.
-    about
-        Paragraphs at the top of the page, that a reader needs to read the figures; the first, on
-        what is measured, is in the help, too.
-    jobs
-        Default of `--jobs`; None = one for each processor.
-    timed
-        Whether figures are times on this machine, so that no cluster can be used.
-    """
+    """A sub-command of `pbrfit evaluate`."""
 
     name: str
     title: str
+    """`name` and `title`: of the command, and of its report."""
     protocol: str
+    """Name and version of how things are measured: results under one name compare. `{size}` and the
+    like are replaced by the options."""
     parts: Sequence[Part[Any]]
+    """With several, `--part` chooses."""
     _: KW_ONLY
     options: Sequence[Callable[[argparse.ArgumentParser], object]] = ()
+    """Functions that add an option to the parser: those of `options`, or such as
+    `pbrfit.commands.arguments.add_threads`. With the latter, `run` gets as many threads as are
+    asked for."""
     effort: Mapping[str, tuple[Any, Any]] = field(default_factory=dict)
+    """Sizes and counts: name -> (full, with `--quick`). An option of the name that is None is set
+    from here, and its help tells both."""
     about: Sequence[str] = ()
+    """Paragraphs at the top of the page, that a reader needs to read the figures; the first, on
+    what is measured, is in the help, too."""
     jobs: int | None = None
+    """Default of `--jobs`; None = one for each processor."""
     timed: bool = False
+    """Whether figures are times on this machine, so that no cluster can be used."""
 
     def protocol_of(self, options: Options) -> str:
         """The protocol with the options' values in it."""

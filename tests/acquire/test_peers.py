@@ -14,10 +14,10 @@ import torch
 from acquire.tiny_maps import TARGETS, save_tiny_marigold_iid, save_tiny_rgbx
 from pbrfit import InputError, Objective
 from pbrfit.acquire.maps.marigold import Marigold, targets
-from pbrfit.acquire.maps.rgbx import RgbToX
 from pbrfit.cli import main
 from pbrfit.io.color import decode_srgb
 from pbrfit.synthetic import make_scene
+from pbrfit_evaluation.peers.rgbx import RgbToX
 
 
 @pytest.fixture(scope="module")

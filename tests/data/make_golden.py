@@ -2,7 +2,7 @@
 
     python tests/data/make_golden.py    writes both files beside this script
 
-Needs mpmath and nothing of pbrfit. Deterministic: the same files on every machine.
+Needs mpmath, and of pbrfit the model in high precision. Deterministic: the same files everywhere.
 """
 
 from __future__ import annotations
@@ -15,68 +15,21 @@ from typing import Any
 
 from mpmath import mp, mpf
 
+from pbrfit_evaluation.exact_model import (
+    CLAMP,
+    WORKING_DIGITS,
+    band_weights,
+    dot,
+    shade,
+    shade_with_slopes,
+    unit,
+)
+
 DIGITS = 25
-WORKING_DIGITS = 80
-CLAMP = "1e-4"  # least n·v in G1 and Fresnel
 NEAR_CLAMP = "1e-12"  # closer to it, rounding decides on which side a slope by the normal is taken
 
 
 # --- Band weights -------------------------------------------------------------------------------
-#
-# Definition: h_l = 8e ∫₀¹ P_l(u) / (1 + e − (1−e)u)² du with e = r⁴.
-# With s = 1 − u and x = 1 − e the denominator is D = 2e + xs, hence
-#
-#     h_l     = 8e ∫₀¹ P_l(1−s) / D² ds
-#     dh_l/de = 8 ∫₀¹ P_l(1−s) ((1+e)s − 2e) / D³ ds          (dD/de = 2 − s)
-#
-# P_l(1−s) is a polynomial in s, so all that is needed are the moments
-#
-#     J_k = ∫ s^k/D,   M_k = ∫ s^k/D²,   K_k = ∫ s^k/D³
-#
-# which follow from s = (D − 2e)/x: each moment of order k comes from those of order k−1.
-# The recurrence cancels about 4·log10(1/x) digits near r = 1 and the derivative 2·log10(1/e)
-# near r = 0; the working precision is raised by more than that.
-
-LEGENDRE_IN_S = (  # P_l(1−s), coefficients of s⁰, s¹, …
-    (1,),
-    (1, -1),
-    (1, -3, mpf(3) / 2),
-    (1, -6, mpf(15) / 2, mpf(-5) / 2),
-)
-
-
-def band_weights(r: mpf) -> tuple[list[mpf], list[mpf]]:
-    """h_l(r) and dh_l/dr for l = 0..3."""
-    if r == 0:  # the limit: the lobe is a delta, and dh/dr ~ r³ ln r
-        return [mpf(4)] * 4, [mpf(0)] * 4
-    with mp.workdps(30):
-        lost = -8 * mp.log10(r)
-        if r != 1:
-            lost -= 6 * mp.log10(1 - r)
-        digits = WORKING_DIGITS + int(lost)
-    with mp.workdps(digits):
-        e = r**4
-        x = 1 - e
-        if x == 0:  # D = 2 throughout
-            J = [mpf(1) / (2 * (k + 1)) for k in range(5)]
-            M = [value / 2 for value in J]
-            K = [value / 4 for value in J]
-        else:
-            J = [mp.log((1 + e) / (2 * e)) / x]
-            M = [1 / (2 * e * (1 + e))]
-            K = [(1 + 3 * e) / (8 * e**2 * (1 + e) ** 2)]
-            for k in range(1, 5):
-                J.append((mpf(1) / k - 2 * e * J[k - 1]) / x)
-                M.append((J[k - 1] - 2 * e * M[k - 1]) / x)
-                K.append((M[k - 1] - 2 * e * K[k - 1]) / x)
-        h, dh_dr = [], []
-        for polynomial in LEGENDRE_IN_S:
-            h.append(8 * e * sum(c * M[k] for k, c in enumerate(polynomial)))
-            dh_de = 8 * sum(
-                c * ((1 + e) * K[k + 1] - 2 * e * K[k]) for k, c in enumerate(polynomial)
-            )
-            dh_dr.append(4 * r**3 * dh_de)
-    return h, dh_dr
 
 
 def band_weights_by_quadrature(r: mpf) -> tuple[list[mpf], list[mpf]]:
@@ -138,75 +91,7 @@ def band_roughnesses() -> list[float]:
     return sorted(roughnesses)
 
 
-# --- Spherical harmonics ------------------------------------------------------------------------
-
-
-def sh_basis(direction: list[mpf]) -> list[mpf]:
-    """Real SH l ≤ 3 without Condon–Shortley phase, index l(l+1)+m, from the definition.
-
-    Y_lm = N_lm · P_l^(|m|)(z) · {√2 Re, 1, √2 Im}(x + iy)^|m| for m > 0, = 0, < 0, where P_l^(m)
-    is the m-th derivative of the Legendre polynomial: sin^m θ cos mφ = Re (x + iy)^m, so no
-    angle is ever formed.
-    """
-    x, y, z = direction
-    basis = []
-    for degree in range(4):
-        for m in range(-degree, degree + 1):
-            order = abs(m)
-            # P_l as a polynomial in z, ascending coefficients, then differentiated.
-            polynomial = [mpf(0)] * (degree + 1)
-            for k in range(degree // 2 + 1):
-                polynomial[degree - 2 * k] = (
-                    mpf((-1) ** k)
-                    * mp.binomial(degree, k)
-                    * mp.binomial(2 * degree - 2 * k, degree)
-                    / 2**degree
-                )
-            for _ in range(order):
-                polynomial = [k * c for k, c in enumerate(polynomial)][1:]
-            norm = mp.sqrt(
-                (2 * degree + 1)
-                / (4 * mp.pi)
-                * mp.factorial(degree - order)
-                / mp.factorial(degree + order)
-            )
-            power = mp.mpc(x, y) ** order
-            azimuth = mpf(1) if m == 0 else mp.sqrt(2) * (power.real if m > 0 else power.imag)
-            basis.append(norm * azimuth * sum(c * z**k for k, c in enumerate(polynomial)))
-    return basis
-
-
 # --- Shading ------------------------------------------------------------------------------------
-
-
-def shade(
-    normal: list[mpf], view: list[mpf], albedo: mpf, roughness: mpf, metallic: mpf
-) -> tuple[list[mpf], list[mpf]]:
-    """The 16 weights of one channel, w_k = kd A_l Y_k(n) + ks h_l Y_k(mirror), and dw_k/dr."""
-    cosine = sum(a * b for a, b in zip(normal, view, strict=True))
-    mirror = [2 * cosine * n - v for n, v in zip(normal, view, strict=True)]
-    clamped = max(cosine, mpf(CLAMP))
-    f0 = mpf("0.04") * (1 - metallic) + metallic * albedo
-    fresnel = f0 + (1 - f0) * (1 - clamped) ** 5
-    k = roughness**4 / 2
-    g1 = clamped / (clamped * (1 - k) + k)
-    # dG1/dk = −x(1−x)/(x(1−k)+k)², dk/dr = 2r³
-    dg1_dr = -clamped * (1 - clamped) / (clamped * (1 - k) + k) ** 2 * 2 * roughness**3
-    kd = (1 - fresnel) * (1 - metallic) * albedo / mp.pi
-    cosine_lobe = (mp.pi, 2 * mp.pi / 3, mp.pi / 4, mpf(0))
-    h, dh_dr = band_weights(roughness)
-    at_normal, at_mirror = sh_basis(normal), sh_basis(mirror)
-    weights, d_roughness = [], []
-    for degree in range(4):
-        for index in range(degree**2, (degree + 1) ** 2):
-            weights.append(
-                kd * cosine_lobe[degree] * at_normal[index]
-                + fresnel * g1 / 4 * h[degree] * at_mirror[index]
-            )
-            d_roughness.append(
-                fresnel / 4 * (dg1_dr * h[degree] + g1 * dh_dr[degree]) * at_mirror[index]
-            )
-    return weights, d_roughness
 
 
 def shading_outputs(case: dict[str, Any]) -> dict[str, Any]:
@@ -214,27 +99,15 @@ def shading_outputs(case: dict[str, Any]) -> dict[str, Any]:
     normal, view, albedo = ([mpf(s) for s in case[key]] for key in ("normal", "view", "albedo"))
     roughness, metallic = mpf(case["roughness"]), mpf(case["metallic"])
     lighting = [[mpf(s) for s in row] for row in case["lighting"]]
-    # w is a polynomial of degree two in albedo and in metallic: central differences are exact.
-    step = mpf(1) / 8
-    out: dict[str, Any] = {
-        key: [] for key in ("radiance", "d_albedo", "d_roughness", "d_metallic", "weights")
-    }
+    names = ("radiance", "d_albedo", "d_roughness", "d_metallic")
+    out: dict[str, Any] = {key: [] for key in (*names, "weights")}
     for channel in range(3):
-        rho = albedo[channel]
-        weights, d_roughness = shade(normal, view, rho, roughness, metallic)
-
-        def lit(row: list[mpf], channel: int = channel) -> mpf:
-            return mp.fsum(w * light[channel] for w, light in zip(row, lighting, strict=True))
-
-        def radiance(d_rho: mpf, d_metallic: mpf, rho: mpf = rho, lit: Any = lit) -> mpf:
-            return lit(shade(normal, view, rho + d_rho, roughness, metallic + d_metallic)[0])
-
-        out["radiance"].append(lit(weights))
-        out["d_albedo"].append((radiance(step, 0) - radiance(-step, 0)) / (2 * step))
-        out["d_metallic"].append((radiance(0, step) - radiance(0, -step)) / (2 * step))
-        out["d_roughness"].append(lit(d_roughness))
-        out["weights"].append(weights)
-    cosine = sum(a * b for a, b in zip(normal, view, strict=True))
+        rows = shade_with_slopes(normal, view, albedo[channel], roughness, metallic)
+        for name, row in zip(names, rows, strict=True):
+            lit = (w * light[channel] for w, light in zip(row, lighting, strict=True))
+            out[name].append(mp.fsum(lit))
+        out["weights"].append(rows[0])
+    cosine = dot(normal, view)
     if abs(cosine - mpf(CLAMP)) > mpf(NEAR_CLAMP):
         out["d_normal"] = by_normal(normal, view, albedo, roughness, metallic, lighting)
     return out
@@ -258,9 +131,7 @@ def by_normal(
     def radiance(channel: int, axis: int, change: mpf) -> mpf:
         turned = list(normal)
         turned[axis] += change
-        length = mp.sqrt(sum(a * a for a in turned))
-        turned = [a / length for a in turned]
-        weights, _ = shade(turned, view, albedo[channel], roughness, metallic)
+        weights, _ = shade(unit(turned), view, albedo[channel], roughness, metallic)
         return mp.fsum(w * light[channel] for w, light in zip(weights, lighting, strict=True))
 
     return [
@@ -270,12 +141,6 @@ def by_normal(
         ]
         for channel in range(3)
     ]
-
-
-def unit(vector: list[float | mpf]) -> list[mpf]:
-    """The vector at length one."""
-    length = mp.sqrt(sum(mpf(a) ** 2 for a in vector))
-    return [mpf(a) / length for a in vector]
 
 
 def shading_inputs() -> list[dict[str, Any]]:

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cycles_sphere import FOV, relative_rmse, render_sphere, under, where_met
 from evaluation_tasks import normals_off
 from pbrfit import InputError, Scene
 from pbrfit.kernel import render, sh_basis, shade, view_directions
@@ -36,7 +37,6 @@ from pbrfit_evaluation.cycles import (
 from pbrfit_evaluation.cycles.export import export, light_blockers
 from pbrfit_evaluation.cycles.job import Job, basis_polynomials, rendered
 from pbrfit_evaluation.cycles.scene import inner_pixels, random_point_lights
-from pbrfit_evaluation.cycles.spheres import FOV, relative_rmse, render_sphere, under, where_met
 from scene_files import known, lights_of, truth_of
 
 SIZE = 24

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -18,14 +19,14 @@ import pbrfit
 import reference
 from pbrfit.result.verdict import levels
 from pbrfit_evaluation.jobs import Record, Values
-from pbrfit_evaluation.stability import SUITE, figures, stiff_fits
+from pbrfit_evaluation.stability import SUITE, edges, figures, stiff_fits
 from pbrfit_evaluation.stability.double_precision import Case, evaluate
 from pbrfit_evaluation.stability.extreme_pixels import KINDS, random_case
 from pbrfit_evaluation.stability.sections import SECTIONS, Task, worst_of
 from pbrfit_evaluation.stability.sections import run as run_section
 from pbrfit_evaluation.stability.stiff_scenes import stiff_scenes
 from pbrfit_evaluation.suite import Results
-from scene_files import run
+from scene_files import known, run
 
 Array = NDArray[np.floating[Any]]
 
@@ -61,6 +62,7 @@ TINY: dict[str, tuple[int, ...]] = {
     "accumulated error": (3, 8, 1),
     "tiny numbers": (600,),
     "stiff fits": (5, 4, 2),
+    "edges": (1,),
 }
 
 
@@ -133,6 +135,7 @@ def nonsense(loss: float, gradient: Array, _: Case) -> tuple[float, Array]:
         ),
         ("fast objective", one_wrong_pixel, "albedo_entry_error"),
         ("accumulated error", scaled_block("lights", 1 + 1e-4), "lights_error_one_sign"),
+        ("edges", scaled_block("lights", 1 + 1e-4), "float32_error"),
         ("tiny numbers", lambda loss, gradient, _: (loss, gradient + 1e-30), "nonzero"),
         ("tiny numbers", lambda loss, gradient, _: (loss, gradient * math.inf), "not_finite"),
         ("tiny numbers", lambda loss, gradient, _: (loss + 1e-35, gradient), "exposure_error"),
@@ -162,6 +165,19 @@ def test_a_fit_that_is_worse_or_unflagged_or_broken_fails_its_check() -> None:
         assert failed(**{key: 1}) == [key]
 
 
+def test_what_goes_wrong_at_an_edge_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenes = (edges.drawn(np.random.default_rng(seed)) for seed in range(100))
+    one = next(scene for scene in scenes if scene.lamps is not None)
+    of_unit, most = pbrfit._core.lamp_radiance, known(SECTIONS["edges"].bounds["lamps_error"][1])
+    assert edges.errors(one, 1)["lamps_error"] <= most
+    monkeypatch.setattr(pbrfit._core, "lamp_radiance", lambda *of: of_unit(*of) * (1 + 1e-9))
+    assert edges.errors(one, 1)["lamps_error"] > most
+    for error, failed in ((pbrfit.InputError("no light"), 0), (ValueError("no light"), 1)):
+        monkeypatch.setattr(edges, "decompose", Mock(side_effect=error))
+        assert edges.fitted(one, 1)["fits_failed"] == failed
+        assert "no light" in edges.fitted(one, 1)["ended by"]
+
+
 def test_facts_of_a_broken_fit() -> None:
     case = stiff_scenes(6, 5)[0]
     options: dict[str, Any] = {"priors": None, "light": "sh", "refine_normals": "off"}
@@ -173,9 +189,9 @@ def test_facts_of_a_broken_fit() -> None:
     facts = stiff_fits.facts(replace(case, determined=False), broken, 1)
     assert facts["fits_not_finite"] == 1
     assert facts["fits_iterations_over"] == result.history.iterations - 1
-    known = result.uncertainty
-    assert known is not None
-    called = levels(known.deviation).values()
+    told = result.uncertainty
+    assert told is not None
+    called = levels(told.deviation).values()
     assert facts["fits_overlooked"] == sum(np.count_nonzero(one == 0) for one in called)
 
 
@@ -191,6 +207,7 @@ def test_nonsense_is_reported_and_fails(
     out = tmp_path / "out"
     assert run("evaluate", "stability", "--out", out, "--quick", "--threads", 1) == 1
     assert capsys.readouterr().out.count("FAILS") > 20
+    assert "Not held by: 1: " in (out / "report.html").read_text(encoding="utf-8")
     rows = json.loads((out / "summary.json").read_text(encoding="utf-8"))["rows"]
     fast = next(row for row in rows if row["name"] == "fast objective")
     assert fast["status"] == "not held"

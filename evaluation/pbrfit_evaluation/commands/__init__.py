@@ -119,10 +119,7 @@ def _refused(_: str) -> NoReturn:
 def run(suite: Suite, options: argparse.Namespace) -> int:
     """Run a suite and write its report; returns the exit code.
 
-    Raises
-    ------
-    KeyboardInterrupt
-        With a message that says how to go on.
+    Raises KeyboardInterrupt with a message that says how to go on.
     """
     from pbrfit_evaluation import jobs, report
     from pbrfit_evaluation.report import evidence

@@ -35,10 +35,8 @@ def tasks(options: Options) -> list[Task]:
     is where any run is cut off. On a quiet machine of two cores almost none is: iterations and
     evaluations are the limits, so that only a busy one makes results depend on its speed.
 
-    Raises
-    ------
-    InputError
-        If there are too many seeds, or not one set of real pictures where there should be.
+    Raises InputError if there are too many seeds, or not one set of real pictures where there
+    should be.
     """
     if options.seeds > MOST_SEEDS:
         raise InputError(f"--seeds: expected at most {MOST_SEEDS}, found {options.seeds}")

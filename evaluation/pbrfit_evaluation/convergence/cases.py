@@ -34,33 +34,22 @@ ALIKE = 0.1
 
 @dataclass(frozen=True)
 class Case:
-    """A kind of scene; seeds make scenes of it.
-
-    Attributes
-    ----------
-    name
-        Fit for files and tables.
-    size
-        Width and height of the pictures, pixels.
-    noise
-        Standard deviation of the Gaussian noise, as a share of the mean radiance.
-    lights
-        Which training lights. The held-out lights are always typical ones.
-    model
-        That is fitted, and that pictures are rendered with.
-    misfit
-        Whether they are rendered with the other model.
-    folder
-        Of real pictures, whose truth nobody knows; `size` is then their longer side.
-    """
+    """A kind of scene; seeds make scenes of it."""
 
     name: str
+    """Fit for files and tables."""
     size: int
+    """Width and height of the pictures, pixels."""
     noise: float = 0.0
+    """Standard deviation of the Gaussian noise, as a share of the mean radiance."""
     lights: Lights = "typical"
+    """Which training lights. The held-out lights are always typical ones."""
     model: Model = "paper"
+    """That is fitted, and that pictures are rendered with."""
     misfit: bool = False
+    """Whether they are rendered with the other model."""
     folder: Path | None = None
+    """Of real pictures, whose truth nobody knows; `size` is then their longer side."""
 
     @property
     def judged(self) -> Literal["recon", "held_out"]:

@@ -25,27 +25,11 @@ def rendered_export(
     *,
     samples: int = 256,
 ) -> NDArray[np.float64]:
-    """Pictures (M, size, size, 3), linear Rec.709, of an exported square scene.
+    """Pictures (M, size, size, 3), linear Rec.709, of an exported square scene, `material.glb`.
 
-    Parameters
-    ----------
-    folder
-        For the files exchanged; made here.
-    glb
-        `material.glb` of an export.
-    size
-        Side of the pictures in pixels.
-    panoramas
-        EXR files of light, as `pbrfit export` writes them.
-    samples
-        Light paths a pixel.
-
-    Raises
-    ------
-    CyclesNotFoundError
-        If there is no Python with bpy.
-    CyclesError
-        If the renderer fails.
+    Under panoramas, EXR files as `pbrfit export` writes them, with so many light paths a pixel.
+    `folder` is for the files exchanged, and made here. Raises CyclesNotFoundError if there is no
+    Python with bpy, CyclesError if the renderer fails.
     """
     folder.mkdir()
     job = {

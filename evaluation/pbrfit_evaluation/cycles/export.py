@@ -39,27 +39,19 @@ _FAR = 1000.0  # a wall that no other wall cuts ends here
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles of one primitive, in camera space.
-
-    Attributes
-    ----------
-    vertices, normals
-        (V, 3); unit normals of the true surface.
-    triangles
-        (T, 3) vertex indices, counter-clockwise seen from outside.
-    albedo, roughness, metallic
-        (V, 3), (V,), (V,); albedo in linear Rec.709.
-    blocks_light
-        False = there for camera rays only.
-    """
+    """Triangles of one primitive, in camera space."""
 
     vertices: Array
     normals: Array
+    """`vertices` and `normals`: (V, 3); unit normals of the true surface."""
     triangles: NDArray[np.int32]
+    """(T, 3) vertex indices, counter-clockwise seen from outside."""
     albedo: Array
     roughness: Array
     metallic: Array
+    """`albedo`, `roughness` and `metallic`: (V, 3), (V,), (V,); albedo in linear Rec.709."""
     blocks_light: bool
+    """False = there for camera rays only."""
 
     @property
     def varies(self) -> bool:
@@ -69,41 +61,23 @@ class Mesh:
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """What the renderer gets of a world.
-
-    Attributes
-    ----------
-    meshes
-        One for each primitive, in order; the object id of the i-th is i + 1.
-    maps
-        By name, (H, W, 3) values at the pixels' centres: "albedo", "finish" (roughness, metallic,
-        0) where a material varies, and "normal" (camera space) where a surface has relief.
-    size, fov
-        Width and height in pixels; horizontal field of view in degrees.
-    """
+    """What the renderer gets of a world."""
 
     meshes: tuple[Mesh, ...]
+    """One for each primitive, in order; the object id of the i-th is i + 1."""
     maps: dict[str, NDArray[np.float32]]
+    """By name, (H, W, 3) values at the pixels' centres: "albedo", "finish" (roughness, metallic, 0)
+    where a material varies, and "normal" (camera space) where a surface has relief."""
     size: int
     fov: float
+    """`size` and `fov`: width and height in pixels; horizontal field of view in degrees."""
 
 
 def export(world: World, size: int, fov: float) -> Stage:
-    """Triangulate a world.
+    """Triangulate a world for pictures of `size` × `size` pixels, `fov` degrees wide.
 
-    Parameters
-    ----------
-    world
-        The scene; its primitives are of the kinds in `pbrfit.synthetic.geometry`.
-    size
-        Width and height of the picture in pixels.
-    fov
-        Horizontal field of view in degrees, 0 < fov < 180.
-
-    Raises
-    ------
-    InputError
-        If a number is out of its range, or a primitive is of another kind.
+    Raises InputError if a number is out of its range (0 < fov < 180), or a primitive is not of the
+    kinds in `pbrfit.synthetic.geometry` and `rooms.frustum`.
     """
     view = world.cast(size, fov)
     solid = light_blockers(world, fov)

@@ -34,12 +34,9 @@ Terms = list[tuple[float, tuple[int, int, int]]]
 def basis_polynomials() -> list[Terms]:
     """The 16 functions of `kernel.sh_basis` as polynomials of a unit vector (x, y, z).
 
-    Returns
-    -------
-    list
-        For each function its terms: a factor and the powers of x, y and z. On the unit sphere
-        z² = 1 - x² - y² leaves a choice; here every polynomial is homogeneous but for l = 2, 3 and
-        m = 0, ±1, which use 1.
+    For each its terms: a factor and the powers of x, y and z. On the unit sphere z² = 1 - x² - y²
+    leaves a choice; here every polynomial is homogeneous but for l = 2, 3 and m = 0, ±1, which use
+    1.
     """
     scaled: list[tuple[int, int, Terms]] = [  # p, q and the terms' sum over √(p / qπ)
         (1, 4, [(1, (0, 0, 0))]),
@@ -67,36 +64,23 @@ def basis_polynomials() -> list[Terms]:
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """One render.
-
-    Attributes
-    ----------
-    stage
-        Geometry, materials and camera.
-    positions
-        (K, 3) of white point lights in camera space; None = the 16 SH basis functions, signed, as
-        panoramas.
-    transport
-        "brdf": every surface receives all light that its own hemisphere sends. "shadows": less
-        what other surfaces block. "full": and what they reflect.
-    samples
-        Light paths a pixel and picture.
-    seed
-        Of the renderer's random numbers.
-    specular
-        Principled's "Specular IOR Level"; 0.5 is F0 = 0.04 at an index of 1.5.
-    distribution
-        Principled's. "GGX": light that leaves a facet towards another is lost. "MULTI_GGX",
-        Blender's default: the lobe is scaled up by it.
-    """
+    """One render."""
 
     stage: Stage
     positions: NDArray[np.float64] | None
+    """(K, 3) of white point lights in camera space; None = the 16 SH basis functions, signed, as
+    panoramas."""
     transport: Transport
+    """"brdf": every surface receives all light that its own hemisphere sends. "shadows": less what
+    other surfaces block. "full": and what they reflect."""
     samples: int
+    """Light paths a pixel and picture."""
     seed: int = 0
     specular: float = 0.5
+    """Principled's "Specular IOR Level"; 0.5 is F0 = 0.04 at an index of 1.5."""
     distribution: Distribution = "MULTI_GGX"
+    """Principled's. "GGX": light that leaves a facet towards another is lost. "MULTI_GGX",
+    Blender's default: the lobe is scaled up by it."""
 
     def __post_init__(self) -> None:
         check_choice("transport", self.transport, get_args(Transport))
@@ -166,29 +150,22 @@ class Job:
 
 @dataclass(frozen=True, eq=False)
 class Rendered:
-    """What came back.
-
-    Attributes
-    ----------
-    radiance
-        (K, H, W, 3) float32, linear Rec.709: under each basis function, or each white point light
-        of radiant intensity such that a white diffuse surface facing it at 1 m has radiance 1.
-    albedo, roughness, metallic, normals, positions
-        (H, W, ...) float32 at the pixels' centres, normals and positions in camera space.
-    segments
-        (H, W) object ids from 1, 0 where nothing is.
-    cpu_seconds
-        What building and rendering took of all processors, when it was rendered.
-    """
+    """What came back."""
 
     radiance: NDArray[np.float32]
+    """(K, H, W, 3) float32, linear Rec.709: under each basis function, or each white point light of
+    radiant intensity such that a white diffuse surface facing it at 1 m has radiance 1."""
     albedo: NDArray[np.float32]
     roughness: NDArray[np.float32]
     metallic: NDArray[np.float32]
     normals: NDArray[np.float32]
     positions: NDArray[np.float32]
+    """`albedo`, `roughness`, `metallic`, `normals` and `positions`: (H, W, ...) float32 at the
+    pixels' centres, normals and positions in camera space."""
     segments: NDArray[np.uint16]
+    """(H, W) object ids from 1, 0 where nothing is."""
     cpu_seconds: float
+    """What building and rendering took of all processors, when it was rendered."""
 
 
 def default_cache() -> Path:
@@ -200,26 +177,12 @@ def default_cache() -> Path:
 def rendered(
     job: Job, *, cache: Path | None = None, threads: int = 2, timeout: float = 3600.0
 ) -> Rendered:
-    """Take a render from the cache, or make it and keep it there.
+    """Take a render from the cache, a folder each, or make it and keep it there.
 
-    Parameters
-    ----------
-    job
-        What to render.
-    cache
-        Folder of folders, one a render; None = `default_cache`.
-    threads
-        Of the renderer; the result does not depend on it.
-    timeout
-        Seconds after which the renderer is stopped.
-
-    Raises
-    ------
-    CyclesNotFoundError
-        If there is no Python with bpy. Even a cached render needs it, for its version is part of
-        the key.
-    CyclesError
-        If the renderer fails. Nothing is left in the cache then.
+    None = `default_cache`. The result does not depend on `threads`; after `timeout` seconds the
+    renderer is stopped. Raises CyclesNotFoundError if there is no Python with bpy, which even a
+    cached render needs, for its version is part of the key; CyclesError if the renderer fails.
+    Nothing is left in the cache then.
     """
     python = find_python()
     folder = (cache or default_cache()) / job.key(blender_version(python))

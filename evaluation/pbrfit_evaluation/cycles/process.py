@@ -30,10 +30,7 @@ class CyclesNotFoundError(CyclesError):
 def find_python() -> Path:
     """Python that has bpy: the variable PBRFIT_CYCLES_PYTHON, else .venv-cycles here.
 
-    Raises
-    ------
-    CyclesNotFoundError
-        If there is none.
+    Raises CyclesNotFoundError if there is none.
     """
     given = os.environ.get(VARIABLE)
     if given:
@@ -53,10 +50,7 @@ def find_python() -> Path:
 def blender_version(python: Path) -> str:
     """Blender's version in that Python, as "5.0.1"; takes a second, once.
 
-    Raises
-    ------
-    CyclesNotFoundError
-        If it has no bpy, or no OpenEXR.
+    Raises CyclesNotFoundError if it has no bpy, or no OpenEXR.
     """
     try:
         found = subprocess.run(
@@ -87,10 +81,7 @@ def run_worker(
 
     `worker` is another program than `WORKER`; it gets the folder and the arguments.
 
-    Raises
-    ------
-    CyclesError
-        If the process fails or takes longer than `timeout` seconds. It is dead then.
+    Raises CyclesError if the process fails or takes longer than `timeout` seconds. It is dead then.
     """
     log = folder / LOG
     with log.open("wb") as output:

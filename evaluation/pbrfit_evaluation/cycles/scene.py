@@ -181,20 +181,10 @@ def true_lamps(
 def inner_pixels(
     segments: NDArray[np.integer[Any]], normals: NDArray[np.floating[Any]], fov: float
 ) -> NDArray[np.bool_]:
-    """Pixels of an object, facing the camera, all of whose four neighbours continue its surface.
+    """(H, W) bool: pixels that face the camera, whose four neighbours continue their surface.
 
-    Parameters
-    ----------
-    segments
-        (H, W) object ids, 0 = nothing there.
-    normals
-        (H, W, 3) unit normals in camera space.
-    fov
-        Horizontal field of view in degrees.
-
-    Returns
-    -------
-    (H, W) bool.
+    By object ids (H, W), 0 = nothing there, unit normals (H, W, 3) in camera space, and the
+    horizontal field of view in degrees.
     """
     views = view_directions(segments.shape[0], segments.shape[1], fov)
     inner = (segments > 0) & (np.einsum("hwi,hwi->hw", normals, views) > 0)

@@ -24,10 +24,7 @@ def cases(options: Options) -> list[Task]:
 
     Normals are kept of the most pictures alone.
 
-    Raises
-    ------
-    InputError, FileNotFoundError
-        If there are no pictures, or two objects have one name.
+    Raises InputError or FileNotFoundError if there are no pictures, or two objects have one name.
     """
     return [
         Task(

@@ -27,21 +27,14 @@ Depth = Literal["none", "true", "network", "rough", "integrated"]
 
 @dataclass(frozen=True)
 class Variant(Way):
-    """A way to explain a room, with what the fit is given.
-
-    Attributes
-    ----------
-    depth
-        As it is called above.
-    segments
-        Whether it is given the true ones.
-    lamps
-        Whether it is given the true ones.
-    """
+    """A way to explain a room, with what the fit is given."""
 
     depth: Depth = "none"
+    """As it is called above."""
     segments: bool = True
+    """Whether it is given the true ones."""
     lamps: bool = False
+    """Whether it is given the true ones."""
 
 
 CONSTANT = Variant(**vars(GUESS))

@@ -92,10 +92,7 @@ class Response:
 def respond(roughness: float, n_dot_v: float, nodes: int = NODES) -> Response:
     """Integrate the paper's BRDF at a roughness and a view angle, both in (0, 1].
 
-    Raises
-    ------
-    InputError
-        If roughness or n·v lies outside its range.
+    Raises InputError if roughness or n·v lies outside its range.
     """
     (base, grazing), lobe_error = integrated_lobe(roughness, n_dot_v, nodes, _smith, schlick_parts)
     coarse, fine = (_body(n_dot_v, count) for count in (nodes, 2 * nodes))
@@ -107,10 +104,7 @@ def integrated_lobe(
 ) -> tuple[Array, float]:
     """`integrate_lobe` by twice as many nodes, and the largest change to there.
 
-    Raises
-    ------
-    InputError
-        Unless roughness and n·v are in (0, 1].
+    Raises InputError unless roughness and n·v are in (0, 1].
     """
     for name, value in (("roughness", roughness), ("n_dot_v", n_dot_v)):
         if not 0 < value <= 1:

@@ -63,8 +63,7 @@ class PrincipledResponse:
     """Reflection of one (r, n·v) of SH light, in the pixel's own frame.
 
     `base`, `grazing`, `glass` are a, b and g above, (16,); `mean_albedo` is Ē. `error` is the
-    largest change of any of the integrals when the number of nodes is doubled. `multiple`: whether
-    there is light between facets; without it, M = 1.
+    largest change of any of the integrals when the number of nodes is doubled.
     """
 
     base: Array
@@ -72,7 +71,6 @@ class PrincipledResponse:
     glass: Array
     mean_albedo: float
     error: float
-    multiple: bool
 
     @property
     def albedo(self) -> float:
@@ -81,8 +79,6 @@ class PrincipledResponse:
 
     def factor(self, f0: Array | float) -> Array:
         """M above, of lobes of any reflectance."""
-        if not self.multiple:
-            return np.ones(np.shape(f0))
         mean_fresnel = f0 + (1 - np.asarray(f0)) / 21
         further = mean_fresnel * self.mean_albedo / (1 - mean_fresnel * (1 - self.mean_albedo))
         return np.asarray(1 + further * (1 - self.albedo) / self.albedo)
@@ -97,18 +93,13 @@ class PrincipledResponse:
         return np.asarray(m * metal + (1 - m) * (multiple * self.glass + body))
 
 
-def respond(
-    roughness: float, n_dot_v: float, nodes: int = NODES, *, multiple: bool = True
-) -> PrincipledResponse:
+def respond(roughness: float, n_dot_v: float, nodes: int = NODES) -> PrincipledResponse:
     """Integrate the BRDF at a roughness and a view angle, both in (0, 1].
 
-    Raises
-    ------
-    InputError
-        If roughness or n·v lies outside its range.
+    Raises InputError if roughness or n·v lies outside its range.
     """
     (base, grazing, glass), error = _integrals(roughness, n_dot_v, nodes)
-    return PrincipledResponse(base, grazing, glass, mean_albedo(roughness), error, multiple)
+    return PrincipledResponse(base, grazing, glass, mean_albedo(roughness), error)
 
 
 @lru_cache(maxsize=4096)

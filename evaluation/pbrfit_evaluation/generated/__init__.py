@@ -20,11 +20,8 @@ FIRST_SEED = 9700
 def cases(options: Options) -> list[Case]:
     """Every room in every way; by Cycles where it is there and wanted.
 
-    Raises
-    ------
-    InputError
-        If there are too few pictures for each kind of damage, or they are too small for a
-        photograph.
+    Raises InputError if there are too few pictures for each kind of damage, or they are too small
+    for a photograph.
     """
     if options.pictures < 6:
         raise InputError(f"--pictures: expected at least 6, found {options.pictures}")

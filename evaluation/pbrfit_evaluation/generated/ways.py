@@ -37,27 +37,18 @@ NORMALS_OFF = 8.0
 
 @dataclass(frozen=True)
 class Handled(Way):
-    """A level of damage and what is done about it.
-
-    Attributes
-    ----------
-    level
-        Of the pictures.
-    review
-        Whether pictures are reviewed first.
-    normals
-        "true", or "estimated": with the errors of an estimator, and with a network's depth.
-    path
-        Whether commands do it, from files to files.
-    maps
-        Whose maps are estimates of the scene: "own" or "another"'s; empty = there are none.
-    """
+    """A level of damage and what is done about it."""
 
     level: Level = "repainted"
+    """Of the pictures."""
     review: bool = False
+    """Whether pictures are reviewed first."""
     normals: str = "true"
+    """"true", or "estimated": with the errors of an estimator, and with a network's depth."""
     path: bool = False
+    """Whether commands do it, from files to files."""
     maps: str = ""
+    """Whose maps are estimates of the scene: "own" or "another"'s; empty = there are none."""
 
 
 WAYS: Mapping[str, Handled] = {

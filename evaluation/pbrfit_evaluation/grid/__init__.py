@@ -29,36 +29,25 @@ PICTURES = 16
 
 @dataclass(frozen=True)
 class Case:
-    """A scene of a condition, explained in one way.
-
-    Attributes
-    ----------
-    condition, way
-        Keys.
-    seed, size, kind
-        Of the scene, its side in pixels, and what it is of.
-    model
-        That is fitted; None = that of the scene.
-    lights
-        Pictures; as many are held out.
-    iterations
-        Of a fit.
-    picture
-        Whether its maps are kept for the report.
-    cycles_cache
-        Where renders by Cycles are kept.
-    """
+    """A scene of a condition, explained in one way."""
 
     condition: str
     way: str
+    """`condition` and `way`: keys."""
     seed: int
     size: int
     kind: str = "furnished"
+    """`seed`, `size` and `kind`: of the scene, its side in pixels, and what it is of."""
     model: Model | None = None
+    """That is fitted; None = that of the scene."""
     lights: int = PICTURES
+    """Pictures; as many are held out."""
     iterations: int = 500
+    """Of a fit."""
     picture: bool = False
+    """Whether its maps are kept for the report."""
     cycles_cache: Path | None = field(default=None, repr=False)
+    """Where renders by Cycles are kept."""
 
     @property
     def key(self) -> str:
@@ -73,37 +62,25 @@ def _always(*_: object) -> str:
 
 @dataclass(frozen=True)
 class Grid:
-    """What a suite compares.
-
-    Attributes
-    ----------
-    conditions
-        What tables call each, by key.
-    ways
-        By key.
-    brings
-        Conditions that are run beside one, because it is compared with them.
-    of_condition
-        Keys of the ways of a condition that has not all.
-    kinds
-        Of scenes, in turn; `--kinds` takes precedence.
-    pictured
-        Conditions or ways whose first scene is pictured.
-    why_not
-        Why a condition or way cannot be run; empty if it can.
-    sized
-        Scenes of a condition and the side of their pictures, where not all have the same.
-    """
+    """What a suite compares."""
 
     conditions: Mapping[str, str]
+    """What tables call each, by key."""
     ways: Mapping[str, Way] = field(default_factory=lambda: {"default": Way("")})
+    """By key."""
     _: KW_ONLY
     brings: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    """Conditions that are run beside one, because it is compared with them."""
     of_condition: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    """Keys of the ways of a condition that has not all."""
     kinds: Sequence[str] = ("furnished",)
+    """Of scenes, in turn; `--kinds` takes precedence."""
     pictured: Sequence[str] = ()
+    """Conditions or ways whose first scene is pictured."""
     why_not: Callable[[Options, str, str], str] = _always
+    """Why a condition or way cannot be run; empty if it can."""
     sized: Callable[[Options, str], tuple[int, int]] = lambda of, _: (of.scenes, of.size)
+    """Scenes of a condition and the side of their pictures, where not all have the same."""
 
     def each(self, options: Options) -> Iterator[tuple[str, str]]:
         """Conditions and ways that are asked for."""
@@ -119,10 +96,7 @@ class Grid:
 
         Ways change slowest, so that processes side by side do not render the same room.
 
-        Raises
-        ------
-        InputError
-            If there are too few pictures.
+        Raises InputError if there are too few pictures.
         """
         lights = getattr(options, "lights", PICTURES)
         if lights < 2:

@@ -50,28 +50,19 @@ def rows(
 
 @dataclass(frozen=True)
 class Bar:
-    """What a mean error has to be, over that of other cases of the same seeds.
-
-    Attributes
-    ----------
-    what
-        In words.
-    of, over
-        Condition and way; without `over` the error itself is judged.
-    names
-        Scores, of which the worst counts.
-    most
-        At most this.
-    part
-        Of the verdict.
-    """
+    """What a mean error has to be, over that of other cases of the same seeds."""
 
     what: str
+    """In words."""
     of: tuple[str, str]
     over: tuple[str, str] | None
+    """`of` and `over`: condition and way; without `over` the error itself is judged."""
     names: Sequence[str]
+    """Scores, of which the worst counts."""
     most: float
+    """At most this."""
     part: str = ""
+    """Of the verdict."""
 
 
 def ratios(results: Of, bar: Bar) -> dict[str, float]:

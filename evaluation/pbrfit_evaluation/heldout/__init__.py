@@ -17,10 +17,7 @@ FEW: tuple[Way, ...] = ("default", "lambert", "nearest")
 def cases(options: Options) -> list[Task]:
     """All folds of all sources, in every way.
 
-    Raises
-    ------
-    InputError, FileNotFoundError
-        If there are no pictures, or two sources have one name.
+    Raises InputError or FileNotFoundError if there are no pictures, or two sources have one name.
     """
     of = options.held_out, options.folds, options.pictures, options.max_size
     return [

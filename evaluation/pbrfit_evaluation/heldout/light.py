@@ -183,14 +183,10 @@ def explained_by(
     light: Literal["own", "lamp"] = "own",
     threads: int = 0,
 ) -> list[Score]:
-    """How well materials and normals of a result explain pictures of its view.
+    """How well materials and normals of a result explain pictures of its view, a scene.
 
-    Parameters
-    ----------
-    scene
-        Whose valid pixels are judged; what the result has no materials for is not explained.
-    light
-        "own": of the kind that the result has; "lamp": a far lamp and constant ambient light.
+    Its valid pixels are judged; what the result has no materials for is not explained. Light is of
+    the result's "own" kind, or a far "lamp" and constant ambient light.
     """
     camera = result.camera
     if camera is not None:

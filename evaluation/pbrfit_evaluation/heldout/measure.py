@@ -96,10 +96,7 @@ def split(pictures: int, held_out: int = 1, folds: int = 1, fold: int = 0, keep:
 
     With `keep` so many are kept, evenly chosen, and some of the others held out, if there are any.
 
-    Raises
-    ------
-    InputError
-        If fewer than two would be kept.
+    Raises InputError if fewer than two would be kept.
     """
     if keep:
         kept = evenly(pictures, keep)

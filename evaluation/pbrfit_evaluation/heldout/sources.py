@@ -10,7 +10,6 @@ TPAMI 41, 2019), DiLiGenT10² (Ren et al., CVPR 2022), LUCES (Mecca et al., BMVC
 
 from __future__ import annotations
 
-import logging
 import re
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -31,6 +30,7 @@ from pbrfit.model.lamps import Lamps
 from pbrfit.scene import folder as scene_folder
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.heldout.public_sets import ROOMS, SETS, Source, room_source
+from pbrfit_evaluation.jobs import unlogged
 from pbrfit_evaluation.normal_errors import unit
 
 Array = NDArray[np.float64]
@@ -73,11 +73,8 @@ class Opened:
 def asked_sources(folders: Sequence[Path], environment: Mapping[str, str]) -> list[Source]:
     """All in some folders, by default in that of PBRFIT_DATA.
 
-    Raises
-    ------
-    FileNotFoundError, InputError
-        As `find_sources`; if there is no folder, or two sources have one name: records are kept by
-        it.
+    Raises FileNotFoundError or InputError as `find_sources`; if there is no folder, or two sources
+    have one name: records are kept by it.
     """
     if not folders and environment.get("PBRFIT_DATA"):
         folders = [Path(environment["PBRFIT_DATA"])]
@@ -100,10 +97,8 @@ def find_sources(path: Path) -> list[Source]:
 
     Scene folders with a `set.json` are found one folder further down, too.
 
-    Raises
-    ------
-    FileNotFoundError, InputError
-        If there is no such folder, or nothing in it that could be pictures of one view.
+    Raises FileNotFoundError or InputError if there is no such folder, or nothing in it that could
+    be pictures of one view.
     """
     if not path.is_dir():
         there = "a file" if path.exists() else "nothing of that name"
@@ -179,18 +174,10 @@ def opened(
 ) -> Opened:
     """Read a source; of more pictures than `most`, so many, evenly chosen.
 
-    Raises
-    ------
-    InputError, OSError
-        If a file cannot be used.
+    Raises InputError or OSError if a file cannot be used.
     """
-    logger = logging.getLogger("pbrfit")
-    with scene_of(source) as folder:
-        before, logger.disabled = logger.disabled, True  # it would say the same for each way
-        try:
-            scene = Scene.load(folder, max_size=max_size, color_space=color_space)
-        finally:
-            logger.disabled = before
+    with scene_of(source) as folder, unlogged():
+        scene = Scene.load(folder, max_size=max_size, color_space=color_space)
     count = len(scene.images)
     lamps = _lamps(source, scene)
     if lamps is not None and len(lamps) != count:

@@ -42,21 +42,10 @@ STRONGEST = 64.0
 
 
 def disturbed(scene: Scene, kind: str, degrees: float, seed: int) -> Array:
-    """Wrong normals for a scene whose normals are true.
+    """Wrong normals (H, W, 3) for a scene whose normals are true; NaN outside the mask.
 
-    Parameters
-    ----------
-    scene
-        With true normals.
-    kind, degrees
-        Which disturbance, and its θ; 0 gives the normals back as they are.
-    seed
-        The same one gives the same pattern at every θ.
-
-    Returns
-    -------
-    ndarray
-        (H, W, 3) unit vectors; NaN outside the mask.
+    By a disturbance and its θ in degrees, of which 0 gives the normals back as they are. The same
+    seed gives the same pattern at every θ.
     """
     if not degrees:
         return np.asarray(scene.normals, dtype=np.float64)

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from typing import get_args
 
-from pbrfit.acquire.maps import marigold, rgbx
+from pbrfit.acquire.maps import marigold
 from pbrfit.acquire.weights import Device
 from pbrfit_evaluation.options import count, cycles_cache, option
-from pbrfit_evaluation.peers import figures
+from pbrfit_evaluation.peers import figures, rgbx
 from pbrfit_evaluation.peers.measure import GRID, Task, work
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
 from pbrfit_evaluation.suite import Options, Part, Suite

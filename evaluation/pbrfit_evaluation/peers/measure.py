@@ -39,25 +39,17 @@ NOISE = 0.01
 
 @dataclass(frozen=True)
 class Task(Case):
-    """A furnished room by a method, in pictures of our forward model or of Blender Cycles.
-
-    Attributes
-    ----------
-    samples
-        Predictions of Marigold-IID that are combined.
-    steps
-        Of the peers' samplers; None = as their authors recommend.
-    longer_side
-        Of what RGB-X is shown, in pixels.
-    checkpoint, device
-        Of a peer: its network, and where it computes.
-    """
+    """A furnished room by a method, in pictures of our forward model or of Blender Cycles."""
 
     samples: int = 5
+    """Predictions of Marigold-IID that are combined."""
     steps: int | None = None
+    """Of the peers' samplers; None = as their authors recommend."""
     longer_side: int = 1000
+    """Of what RGB-X is shown, in pixels."""
     checkpoint: str | None = None
     device: str = field(default="auto", repr=False)
+    """`checkpoint` and `device`: of a peer: its network, and where it computes."""
 
 
 Peer = Callable[[NDArray[np.uint8], Task], Materials]
@@ -155,7 +147,7 @@ def _loaded(method: str, model: str | None, device: str, longer_side: int) -> Pe
             return lambda picture, task: marigold.maps(
                 picture, seed=task.seed, samples=task.samples, steps=task.steps
             )
-        from pbrfit.acquire.maps.rgbx import RgbToX
+        from pbrfit_evaluation.peers.rgbx import RgbToX
 
         rgbx = RgbToX(model, device=device, longer_side=longer_side)
         return lambda picture, task: rgbx.maps(picture, seed=task.seed, steps=task.steps)

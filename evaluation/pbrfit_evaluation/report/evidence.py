@@ -76,19 +76,9 @@ def record(
 def publish(docs: Path, name: str, folder: Path) -> None:
     """Take over a suite's summary, the plots and CSV files that pages show, and fill the pages.
 
-    Parameters
-    ----------
-    docs
-        Folder of the documentation, with README.md beside it.
-    name
-        Of the suite or benchmark.
-    folder
-        What it wrote: `summary.json` and perhaps PNG and CSV files.
-
-    Raises
-    ------
-    InputError
-        If there is no documentation there, or a page asks for a table that the summary lacks.
+    `docs` is the folder of the documentation, with README.md beside it; `name` that of the suite or
+    benchmark, which wrote `folder`. Raises InputError if there is no documentation, or a page asks
+    for a table that the summary lacks.
     """
     if not docs.is_dir():
         raise InputError(f"{docs}: expected the documentation's folder, found none")
@@ -150,10 +140,7 @@ def differences(docs: Path) -> Iterator[str]:
 def shown(page: Path, summary: Mapping[str, Any], block: re.Match[str]) -> str:
     """What stands between the comments of a block: the table, and how it was measured.
 
-    Raises
-    ------
-    InputError
-        If the summary lacks the table, or the table a column or row.
+    Raises InputError if the summary lacks the table, or the table a column or row.
     """
     name, title, columns = block["name"], block["title"], block["columns"]
     tables = {of["title"]: of["markdown"] for of in summary["tables"]}
@@ -188,10 +175,7 @@ def _part(where: str, table: str, wanted: Sequence[str]) -> str:
 def read(docs: Path, name: str) -> Mapping[str, Any]:
     """A summary that the documentation keeps.
 
-    Raises
-    ------
-    InputError
-        If it is absent.
+    Raises InputError if it is absent.
     """
     path = docs / FOLDER / f"{name}.json"
     if not path.is_file():

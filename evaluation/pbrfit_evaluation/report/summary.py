@@ -29,18 +29,9 @@ def write_summary(
 ) -> None:
     """Write `summary.json` into an existing folder.
 
-    Parameters
-    ----------
-    folder
-        Of the suite's output.
-    protocol
-        Name and version of how things were measured: results under one name compare.
-    rows
-        The results.
-    command
-        What makes them again, without names of this machine.
-    tables
-        Those of the page as Markdown, by title.
+    `protocol` is name and version of how things were measured: results under one name compare.
+    `command` makes them again, without names of this machine; `tables` are those of the page as
+    Markdown, by title.
     """
     content = {
         "protocol": protocol,

@@ -39,22 +39,10 @@ _TRIES = 200
 def damaged(
     image: Array, kind: Kind, segments: NDArray[Any], rng: np.random.Generator
 ) -> tuple[Array, dict[str, float]]:
-    """Damage a picture.
+    """A picture (H, W, 3), linear with white = 1, damaged in a way.
 
-    Parameters
-    ----------
-    image
-        (H, W, 3) linear, white = 1.
-    kind
-        What is to be done.
-    segments
-        (H, W) ids of objects, 0 = none.
-    rng
-        Source of randomness.
-
-    Returns
-    -------
-    The picture, and how much was done to it: pixels, or share of the area and change.
+    `segments` (H, W) are ids of objects, 0 = none. Returns it, and how much was done to it: pixels,
+    or share of the area and change.
     """
     unit = max(image.shape[:2]) / 512
     if kind == "shift":

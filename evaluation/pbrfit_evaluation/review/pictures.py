@@ -31,18 +31,12 @@ PANORAMA_SAMPLES = 64
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One view under many lights.
-
-    Attributes
-    ----------
-    pictures
-        (N, H, W, 3) linear, exposed: white = 1, brighter values there.
-    segments
-        (H, W) ids of objects.
-    """
+    """One view under many lights."""
 
     pictures: Array
+    """(N, H, W, 3) linear, exposed: white = 1, brighter values there."""
     segments: NDArray[np.integer[Any]]
+    """(H, W) ids of objects."""
 
 
 def relights(

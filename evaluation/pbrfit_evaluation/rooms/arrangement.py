@@ -73,13 +73,8 @@ class _Plan:
 def draw_room(rng: Rng) -> tuple[Stage, Parts]:
     """Draw rooms until one shows enough; the best of 10 if none does.
 
-    Returns
-    -------
-    stage
-        Walls, primitives of all furniture, camera.
-    parts
-        The furniture, in the order of the stage's pieces. Parts with the same tag have the same
-        material.
+    Returns walls, primitives of all furniture and the camera; and the furniture in the order of the
+    stage's pieces, of which those with the same tag have the same material.
     """
     best, best_score = None, -1.0
     for _ in range(10):

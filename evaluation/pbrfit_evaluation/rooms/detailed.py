@@ -35,30 +35,20 @@ _TEXTURED = 0.75  # share of the materials that take maps, where there are any
 
 @dataclass(frozen=True)
 class Textured(Surface):
-    """Maps of a set on one primitive.
-
-    Attributes
-    ----------
-    primitive
-        What is covered; it decides how the maps are laid on.
-    maps
-        The set.
-    tile
-        Metres that the maps are wide.
-    offset
-        (2,) of the maps, in tiles.
-    quarter
-        By how many quarter turns the maps are turned counter-clockwise.
-    gain
-        (3,) factors of the albedo.
-    """
+    """Maps of a set on one primitive."""
 
     primitive: Primitive
+    """What is covered; it decides how the maps are laid on."""
     maps: MaterialSet
+    """The set."""
     tile: float
+    """Metres that the maps are wide."""
     offset: Array
+    """(2,) of the maps, in tiles."""
     quarter: int
+    """By how many quarter turns the maps are turned counter-clockwise."""
     gain: Array
+    """(3,) factors of the albedo."""
 
     def at(self, spots: Spots) -> Finish:
         """Look the maps up; see `Surface.at`."""
@@ -114,28 +104,20 @@ def _fractal(rng: Rng, scale: float, octaves: int = 5) -> Relief:
 
 @dataclass(frozen=True)
 class Weathered(Surface):
-    """Another surface with relief, grain and stains.
-
-    Attributes
-    ----------
-    base
-        The surface below.
-    relief
-        Height; its slope is `depth` at most, about.
-    grain
-        Changes of roughness and tone.
-    depth
-        Height in metres of the coarsest bumps.
-    tone, dullness
-        How far grain and hollows change the albedo, as a factor, and the roughness.
-    """
+    """Another surface with relief, grain and stains."""
 
     base: Surface
+    """The surface below."""
     relief: Relief
+    """Height; its slope is `depth` at most, about."""
     grain: Relief
+    """Changes of roughness and tone."""
     depth: float
+    """Height in metres of the coarsest bumps."""
     tone: float
     dullness: float
+    """`tone` and `dullness`: how far grain and hollows change the albedo, as a factor, and the
+    roughness."""
 
     def at(self, spots: Spots) -> Finish:
         """Roughen the surface below; see `Surface.at`."""
@@ -166,16 +148,9 @@ class Weathered(Surface):
 def draw_detailed(
     world: World, tags: Sequence[str], sets: Sequence[MaterialSet], rng: Rng
 ) -> World:
-    """Give a furnished room finer materials.
+    """Give a furnished room, as `draw_furnished` returns it, finer materials.
 
-    Parameters
-    ----------
-    world, tags
-        As `draw_furnished` returns them.
-    sets
-        Texture maps; none for procedural detail.
-    rng
-        Source of randomness.
+    By texture maps; without any, by procedural detail.
     """
     walls = [f"wall/{min(i, 2)}" if i != 4 else "wall/back" for i in range(world.walls)]
     choice: dict[str, Textured | Weathered] = {}

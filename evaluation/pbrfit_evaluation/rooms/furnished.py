@@ -28,12 +28,7 @@ _PROBE = 48
 def draw_furnished(rng: Rng) -> tuple[World, list[str]]:
     """Draw a furnished room with its materials.
 
-    Returns
-    -------
-    world
-        Walls, furniture, surfaces and camera.
-    tags
-        For each piece after the walls: pieces with the same tag have the same material.
+    Returns the world, and for each piece after the walls a tag: pieces of one have one material.
     """
     stage, parts = draw_room(rng)
     by_tag: dict[str, Surface] = {}

@@ -13,21 +13,14 @@ from pbrfit_evaluation.rooms.things import SMALL, TABLEWARE, row
 
 @dataclass(frozen=True)
 class Piece:
-    """A piece of furniture with what stands on it.
-
-    Attributes
-    ----------
-    parts
-        In the space of the piece.
-    half
-        Half its width and half its depth: the rectangle of floor or wall that it takes.
-    height
-        Without what stands on it.
-    """
+    """A piece of furniture with what stands on it."""
 
     parts: Parts
+    """In the space of the piece."""
     half: tuple[float, float]
+    """Half its width and half its depth: the rectangle of floor or wall that it takes."""
     height: float
+    """Without what stands on it."""
 
 
 def table(rng: np.random.Generator, *, low: bool) -> Piece:

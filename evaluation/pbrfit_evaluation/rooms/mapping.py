@@ -20,24 +20,17 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Chart:
-    """Coordinates at P points.
-
-    Attributes
-    ----------
-    u, v
-        (P,) in tiles.
-    right, up
-        (P, 3) unit vectors in object space along which u and v grow; with the normal they are
-        orthogonal and right-handed.
-    squeeze
-        (P,) how many times smaller a tile is there than its nominal size.
-    """
+    """Coordinates at P points."""
 
     u: Array
     v: Array
+    """`u` and `v`: (P,) in tiles."""
     right: Array
     up: Array
+    """`right` and `up`: (P, 3) unit vectors in object space along which u and v grow; with the
+    normal they are orthogonal and right-handed."""
     squeeze: Array
+    """(P,) how many times smaller a tile is there than its nominal size."""
 
 
 def chart(primitive: Primitive, points: Array, normals: Array, tile: float) -> Chart:

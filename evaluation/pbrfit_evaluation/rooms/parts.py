@@ -19,21 +19,14 @@ Covering = Callable[[np.random.Generator, Primitive], Surface]
 
 @dataclass(frozen=True)
 class Part:
-    """One primitive of a piece of furniture.
-
-    Attributes
-    ----------
-    primitive
-        Placed in the space of the piece, later in the room.
-    covering
-        What it is made of.
-    tag
-        Parts of one piece with the same tag have the same material.
-    """
+    """One primitive of a piece of furniture."""
 
     primitive: Primitive
+    """Placed in the space of the piece, later in the room."""
     covering: Covering
+    """What it is made of."""
     tag: str
+    """Parts of one piece with the same tag have the same material."""
 
 
 Parts = tuple[Part, ...]

@@ -53,24 +53,16 @@ _CHANNELS = 8  # albedo (3), roughness, metallic, normal (3)
 
 @dataclass(frozen=True)
 class MaterialSet:
-    """The maps of one material, square, each level half the size of the one before.
-
-    Attributes
-    ----------
-    name
-        Folder or file name that the maps share.
-    levels
-        (T, T, 8) float32 each, T a power of two down to 1: albedo in linear Rec.709, roughness,
-        metallic, and the mean normal in tangent space, not of unit length (x right, y up in the
-        picture).
-        Row 0 is the top. A texel is the mean of the four finer ones that it covers.
-    relief
-        Whether there is a normal map.
-    """
+    """The maps of one material, square, each level half the size of the one before."""
 
     name: str
+    """Folder or file name that the maps share."""
     levels: tuple[Maps, ...]
+    """(T, T, 8) float32 each, T a power of two down to 1: albedo in linear Rec.709, roughness,
+    metallic, and the mean normal in tangent space, not of unit length (x right, y up in the
+    picture). Row 0 is the top. A texel is the mean of the four finer ones that it covers."""
     relief: bool
+    """Whether there is a normal map."""
 
     @property
     def repeats(self) -> bool:
@@ -101,19 +93,10 @@ class MaterialSet:
     def sample(
         self, u: NDArray[np.float64], v: NDArray[np.float64], texels: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Look up the maps, averaged over what a pixel covers; they repeat.
+        """(P, 8): the maps, averaged over what a pixel covers; they repeat.
 
-        Parameters
-        ----------
-        u, v
-            (P,) coordinates, 1 = the whole map; u to the right, v up.
-        texels
-            (P,) how many of the finest texels a pixel is wide.
-
-        Returns
-        -------
-        ndarray
-            (P, 8): linear between texels and between levels.
+        At coordinates (P,), 1 = the whole map, u to the right and v up, of pixels that are so many
+        of the finest texels (P,) wide. Linear between texels and between levels.
         """
         level = np.log2(np.maximum(texels, 1.0)).clip(0.0, len(self.levels) - 1)
         lower = np.minimum(level.astype(np.int64), max(len(self.levels) - 2, 0))
@@ -144,11 +127,8 @@ def load_textures(folder: Path) -> tuple[MaterialSet, ...]:
 
     See the module for the names that are known.
 
-    Raises
-    ------
-    InputError
-        When there is no folder or no set in it, when a set lacks its albedo or its roughness, has
-        two maps of one role, or a map cannot be read.
+    Raises InputError when there is no folder or no set in it, when a set lacks its albedo or its
+    roughness, has two maps of one role, or a map cannot be read.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: expected a folder of texture maps, found none")

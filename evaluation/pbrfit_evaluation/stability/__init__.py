@@ -18,7 +18,7 @@ SUITE = Suite(
     name="stability",
     title="Numerical stability",
     # Under one name, with the same effort and seed, the same is measured in the same way.
-    protocol="pbrfit-stability-2, {effort}",
+    protocol="pbrfit-stability-3, {effort}",
     parts=[Part.shown_by(figures, "stability", cases, run)],
     options=(
         option("--seed", type=whole_number, default=0, help="of pixels, lights, pictures"),
@@ -33,6 +33,7 @@ SUITE = Suite(
         ),  # 4^k pixels, of many pictures, draws
         "tiny numbers": ((65_536,), (8_192,)),  # pixels
         "stiff fits": ((48, 16, 300), (10, 5, 20)),  # size, pictures, iterations
+        "edges": ((100,), (6,)),  # scenes
     },
     jobs=1,
     about=(

@@ -78,21 +78,14 @@ class Pixels:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Pictures and a point at which their objective is evaluated.
-
-    Attributes
-    ----------
-    pixels
-        P of them.
-    lighting
-        (N, 16, 3).
-    images
-        (N, P, 3) float32 targets.
-    """
+    """Pictures and a point at which their objective is evaluated."""
 
     pixels: Pixels
+    """P of them."""
     lighting: Array
+    """(N, 16, 3)."""
     images: NDArray[np.float32]
+    """(N, P, 3) float32 targets."""
 
     @cached_property
     def x(self) -> Array:

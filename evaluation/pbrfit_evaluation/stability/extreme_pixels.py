@@ -64,12 +64,17 @@ def _with_roughness(center: float, low: float, high: float) -> Change:
     return change
 
 
-def _grazing(rng: Generator, case: Case) -> Case:
-    # From facing the camera to beyond the clamp; one in eight faces away.
-    cosine = 10.0 ** rng.uniform(-7, 0, len(case.pixels))
-    cosine[::8] *= -1
-    normals = seen_at(rng, case.pixels.views, cosine)
-    return replace(case, pixels=replace(case.pixels, normals=normals))
+def grazing(lowest: float, away: int = 0) -> Change:
+    """n·v from 1 to ten to the power of `lowest`; one in `away` faces away."""
+
+    def change(rng: Generator, case: Case) -> Case:
+        cosine = 10.0 ** rng.uniform(lowest, 0, len(case.pixels))
+        if away:
+            cosine[::away] *= -1
+        normals = seen_at(rng, case.pixels.views, cosine)
+        return replace(case, pixels=replace(case.pixels, normals=normals))
+
+    return change
 
 
 def _on_bounds(rng: Generator, case: Case) -> Case:
@@ -81,7 +86,7 @@ def _on_bounds(rng: Generator, case: Case) -> Case:
     return replace(case, pixels=pixels)
 
 
-def _scaled(low: float, high: float) -> Change:
+def scaled(low: float, high: float) -> Change:
     """Pictures of different exposure, log-uniform between low and high."""
 
     def change(rng: Generator, case: Case) -> Case:
@@ -101,8 +106,12 @@ def _dark_channel(_: Generator, case: Case) -> Case:
     return Case(case.pixels, lighting, images)
 
 
+_AT_ALL_ANGLES = grazing(-7, away=8)
+"""From facing the camera to beyond the clamp."""
+
+
 def _everything(rng: Generator, case: Case) -> Case:
-    for change in (_grazing, _on_bounds, _scaled(1e-6, 1e6), _dark_channel):
+    for change in (_AT_ALL_ANGLES, _on_bounds, scaled(1e-6, 1e6), _dark_channel):
         case = change(rng, case)
     return case
 
@@ -112,11 +121,11 @@ KINDS: Mapping[str, Change] = {
     "r near 0": _with_roughness(0.0, 0.0, NEAR),
     "r near 1": _with_roughness(1.0, -NEAR, 0.0),
     "r across 0.4": _with_roughness(0.4, -NEAR, NEAR),
-    "n·v from 1 to 10⁻⁷, or negative": _grazing,
+    "n·v from 1 to 10⁻⁷, or negative": _AT_ALL_ANGLES,
     "ρ, r, m exactly 0 or 1": _on_bounds,
-    "lights × 10⁻⁶": _scaled(1e-6, 1e-6),
-    "lights × 10⁶": _scaled(1e6, 1e6),
-    "lights × 10⁻⁶ … 10⁶ in one problem": _scaled(1e-6, 1e6),
+    "lights × 10⁻⁶": scaled(1e-6, 1e-6),
+    "lights × 10⁶": scaled(1e6, 1e6),
+    "lights × 10⁻⁶ … 10⁶ in one problem": scaled(1e-6, 1e6),
     "blue dark": _dark_channel,
     "grazing, on bounds, mixed lights, blue dark": _everything,
 }

@@ -42,6 +42,13 @@ def sections(results: Results[Task], _: Sequence[Row]) -> Iterator[Section]:
     for task, values in results.finished:
         of, rows = SECTIONS[task.section], values.get("rows", {})
         text = f"{of.text}\n\nWhy these bounds: {of.why}"
+        bars = {key: most for key, (_, most) in of.bounds.items() if most is not None}
+        if failed := [
+            name
+            for name, row in rows.items()
+            if any(not row[key] <= most for key, most in bars.items() if key in row)
+        ]:
+            text += f"\n\nNot held by: {'; '.join(failed)}"
         keys = list(dict.fromkeys(key for row in rows.values() for key in row))
         lines = [[name, *(row.get(key) for key in keys)] for name, row in rows.items()]
         table = Table(["", *(key.replace("_", " ") for key in keys)], lines)

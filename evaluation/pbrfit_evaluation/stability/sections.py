@@ -13,7 +13,7 @@ import numpy as np
 
 from pbrfit.threads import one_blas_thread
 from pbrfit_evaluation.jobs import Values
-from pbrfit_evaluation.stability import objective, stiff_fits
+from pbrfit_evaluation.stability import edges, objective, stiff_fits
 from pbrfit_evaluation.stability.double_precision import ROUNDING, Figure, worst
 from pbrfit_evaluation.stability.objective import ALIKE, MANY, ONE_SIGN, RANDOM
 
@@ -23,6 +23,7 @@ LOSS_BOUND = 5e-7
 ENTRY_BOUND = 2e-6
 BLOCK_BOUND = 1e-6
 EQUAL_TERMS_BOUND = 256 * ROUNDING
+FLOAT64_BOUND = 34 * 2.0**-53
 
 _BLOCK = "error over norm of the block"
 _ENTRY = "worst entry over its natural scale"
@@ -157,6 +158,26 @@ SECTIONS = {
                 0,
             ),
             "fits_above_lbfgsb": ("residual of gauss-newton over that of lbfgsb, less 1", 1e-6),
+        },
+    ),
+    "edges": Section(
+        edges.measure,
+        "Random scenes of 4 to 25 pixels and 2 to 16 pictures at the edges that their names tell: "
+        "under harmonics, or a far lamp in each picture. The paper's model against its definition "
+        "in 50 digits; then `pbrfit.decompose`, which may refuse a scene in words.",
+        "34 u of an entry's natural scale, and in float64 34·2⁻⁵³ over n·v: an error of 2⁻⁵³ in "
+        "that sum of products is so much larger beside it. Under lamps a rounding of a vector "
+        "counts by what it changes: lobes may be 10⁻⁶ radians wide.",
+        {
+            "float32_error": ("loss and gradient, worst over its natural scale", ENTRY_BOUND),
+            "float64_error": ("the same in float64, times the least n·v", FLOAT64_BOUND),
+            "lamps_error": ("radiance and gradient under lamps, over its scale", FLOAT64_BOUND),
+            "fits_failed": ("fits that ended in an error", 0),
+            "fits_warned": ("arithmetic warnings of a fit", 0),
+            "fits_not_finite": ("numbers of a fit that are infinite or not a number", 0),
+            "fits_beyond": ("numbers of maps, deviations and bounds out of range", 0),
+            "fits_misjudged": ("maps called usable that are no rough guide", 0),
+            "mixed_misjudged": ("the same of mixtures of metal and dielectric under lamps", None),
         },
     ),
 }

@@ -15,7 +15,7 @@ from pbrfit.result.options import Priors
 from pbrfit.result.result import Result
 from pbrfit.result.verdict import levels
 from pbrfit_evaluation.jobs import Values
-from pbrfit_evaluation.stability.double_precision import Array
+from pbrfit_evaluation.stability.double_precision import ROUNDING
 from pbrfit_evaluation.stability.stiff_scenes import StiffScene, stiff_scenes
 
 FITS: dict[str, tuple[str, Priors | None]] = {
@@ -82,8 +82,7 @@ def facts(case: StiffScene, result: Result, iterations: int) -> dict[str, Any]:
     }
     done = int(result.history["iteration"][-1])
     return {
-        "fits_not_finite": sum(int(np.count_nonzero(~np.isfinite(a))) for a in _numbers(result)),
-        "fits_beyond": sum(int(np.count_nonzero((a < 0) | (a > 1))) for a in maps.values()),
+        **nonsense(result),
         "fits_iterations_over": max(0, done - iterations),
         "fits_overlooked": 0 if case.determined else int((~told).sum()),
         RESIDUAL: _residual(case, result),
@@ -96,14 +95,27 @@ def facts(case: StiffScene, result: Result, iterations: int) -> dict[str, Any]:
     }
 
 
-def _numbers(result: Result) -> list[Array]:
-    """Every number that a fit hands back; all pixels of these scenes are valid."""
-    known = result.uncertainty
-    assert known is not None
-    of_maps = (result.materials, known.deviation, known.low, known.high)
-    maps = [getattr(values, name) for values in of_maps for name in MAPS]
-    history = [result.history[name] for name in ("loss", "recon_rmse")]
-    return [*maps, result.lighting, *history, np.array(list(result.metrics.values()))]
+def nonsense(result: Result) -> dict[str, int]:
+    """How many numbers of a fit are not finite, and how many of its maps are out of range.
+
+    Beyond [0, 1]; of bounds also on the wrong side of the value, but for rounding to float32.
+    """
+    told = result.uncertainty
+    assert told is not None
+    value, deviation, low, high = (
+        np.concatenate([getattr(of, name)[result.mask].ravel() for name in MAPS])
+        for of in (result.materials, told.deviation, told.low, told.high)
+    )
+    lamps = () if result.lamps is None else (result.lamps.places, result.lamps.colors)
+    others = (result.lighting, result.normals[result.mask], *lamps, list(result.metrics.values()))
+    history = (result.history[name] for name in ("loss", "recon_rmse"))
+    all_of = [np.ravel(of) for of in (value, deviation, low, high, *others, *history)]
+    maps = np.concatenate([value, deviation, low, high])
+    beyond = [maps < 0, maps > 1, low > value + ROUNDING, high < value - ROUNDING]
+    return {
+        "fits_not_finite": int(np.count_nonzero(~np.isfinite(np.concatenate(all_of)))),
+        "fits_beyond": sum(int(np.count_nonzero(of)) for of in beyond),
+    }
 
 
 def _residual(case: StiffScene, result: Result) -> float:

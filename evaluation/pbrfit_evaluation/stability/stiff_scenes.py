@@ -27,23 +27,16 @@ BRIGHTER = 1e4
 
 @dataclass(frozen=True, eq=False)
 class StiffScene:
-    """A scene, and what can be asked of a fit.
-
-    Attributes
-    ----------
-    name
-        In tables.
-    counted
-        (H, W): pixels whose errors count; others have samples that the model cannot explain.
-    determined
-        Whether the pictures tell anything about the materials of a pixel. Where they do not, each
-        unknown has to be flagged.
-    """
+    """A scene, and what can be asked of a fit."""
 
     name: str
+    """In tables."""
     scene: Scene
     counted: NDArray[np.bool_]
+    """(H, W): pixels whose errors count; others have samples that the model cannot explain."""
     determined: bool = True
+    """Whether the pictures tell anything about the materials of a pixel. Where they do not, each
+    unknown has to be flagged."""
 
 
 def stiff_scenes(size: int, pictures: int) -> list[StiffScene]:

@@ -27,10 +27,7 @@ def cases(options: Options) -> list[Case]:
 
     So a run that is broken off and resumed with fewer scenes is complete in those.
 
-    Raises
-    ------
-    InputError
-        If an option is out of range or a folder is not there.
+    Raises InputError if an option is out of range or a folder is not there.
     """
     if options.scenes > MOST_SCENES:
         raise InputError(f"--scenes: expected at most {MOST_SCENES}, found {options.scenes}")

@@ -53,21 +53,14 @@ GRID = Grid(
 
 @dataclass(frozen=True)
 class Case(grid.Case):
-    """A scene of a row, in one way.
-
-    Attributes
-    ----------
-    textures
-        Folder of PBR maps for detailed scenes; None = procedural.
-    predicted_normals
-        Folder that holds SEED.exr or SEED.png by an estimator; None = simulated.
-    inputs
-        Digest of what is read from these two.
-    """
+    """A scene of a row, in one way."""
 
     textures: Path | None = None
+    """Folder of PBR maps for detailed scenes; None = procedural."""
     predicted_normals: Path | None = None
+    """Folder that holds SEED.exr or SEED.png by an estimator; None = simulated."""
     inputs: str = ""
+    """Digest of what is read from these two."""
 
 
 def run(case: Case, threads: int) -> dict[str, Any]:

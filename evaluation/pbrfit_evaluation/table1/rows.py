@@ -32,50 +32,35 @@ NormalSource = Literal["true", "predicted"]
 
 @dataclass(frozen=True)
 class Row:
-    """One setup.
-
-    Attributes
-    ----------
-    key, name
-        For files, and for people.
-    scene
-        Kind of scene.
-    renderer
-        Whose pictures: our forward model's, or Blender Cycles'.
-    light, transport
-        Of Cycles: see `pbrfit_evaluation.cycles.render_scene`.
-    normals
-        The true ones, or those of a simulated or given estimator.
-    refine_normals
-        As for `pbrfit.decompose`.
-    sh_order
-        That the decomposition fits; the true lights have order 3.
-    fov
-        That the decomposition is told, in degrees; the true one is 60.
-    swapped
-        Whether our renderer uses the other model than the one that is fitted, instead of the same.
-    ways
-        Keys of the ways to explain its scenes.
-    enlarged
-        Side of its pictures, over that of the others.
-    paper
-        The paper's RMSE, on the paper's scenes.
-    """
+    """One setup."""
 
     key: str
     name: str
+    """`key` and `name`: for files, and for people."""
     scene: Literal["furnished", "detailed"] = "furnished"
+    """Kind of scene."""
     renderer: Renderer = "own"
+    """Whose pictures: our forward model's, or Blender Cycles'."""
     light: Literal["panorama", "points"] = "panorama"
     transport: Literal["brdf", "shadows", "full"] = "full"
+    """`light` and `transport`: of Cycles: see `pbrfit_evaluation.cycles.render_scene`."""
     normals: NormalSource = "true"
+    """The true ones, or those of a simulated or given estimator."""
     refine_normals: RefineNormals = "off"
+    """As for `pbrfit.decompose`."""
     sh_order: int = 3
+    """That the decomposition fits; the true lights have order 3."""
     fov: float = 60.0
+    """That the decomposition is told, in degrees; the true one is 60."""
     swapped: bool = False
+    """Whether our renderer uses the other model than the one that is fitted, instead of the same.
+    """
     ways: tuple[str, ...] = COMPARED
+    """Keys of the ways to explain its scenes."""
     enlarged: int = 1
+    """Side of its pictures, over that of the others."""
     paper: Mapping[str, float] = field(default_factory=dict)
+    """The paper's RMSE, on the paper's scenes."""
 
     @property
     def slow(self) -> bool:

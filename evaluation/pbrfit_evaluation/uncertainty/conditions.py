@@ -65,21 +65,14 @@ PALEST = 0.6
 
 @dataclass(frozen=True)
 class Condition:
-    """What a row of the suite is about.
-
-    Attributes
-    ----------
-    title
-        What tables and plots say.
-    group
-        With which others it is drawn.
-    options
-        Of `pbrfit.decompose`, beside its defaults.
-    """
+    """What a row of the suite is about."""
 
     title: str
+    """What tables and plots say."""
     group: Group
+    """With which others it is drawn."""
     options: Mapping[str, Any] = field(default_factory=dict)
+    """Of `pbrfit.decompose`, beside its defaults."""
 
 
 CONDITIONS: Mapping[Name, Condition] = {

@@ -222,8 +222,8 @@ def of_spread(
     value = found.value
     return Uncertainty(
         deviation=deviation,
-        low=_materials(np.where(np.isfinite(low), low, value), layout),
-        high=_materials(np.where(np.isfinite(high), high, value), layout),
+        low=_materials(np.where(np.isfinite(low), low, value), layout, objective.known_metallic),
+        high=_materials(np.where(np.isfinite(high), high, value), layout, objective.known_metallic),
         noise=noise,
         effective_share=discrepancy.effective_share,
         albedo_scale=(red, green, blue),
@@ -231,10 +231,12 @@ def of_spread(
     )
 
 
-def _materials(values: NDArray[np.floating[Any]], layout: ParameterLayout) -> Materials:
-    """Maps of (P, D); what is known has 0."""
+def _materials(
+    values: NDArray[np.floating[Any]], layout: ParameterLayout, known: float | None = 0.0
+) -> Materials:
+    """Maps of (P, D), and a metallic that is known."""
     c = layout.channels
-    metallic = np.zeros(layout.pixels) if layout.metallic_known else values[:, c + 1]
+    metallic = np.full(layout.pixels, known) if layout.metallic_known else values[:, c + 1]
     return Materials(
         layout.whole(np.broadcast_to(values[:, :c], (layout.pixels, 3))),
         layout.whole(values[:, c]),

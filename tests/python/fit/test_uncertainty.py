@@ -170,6 +170,17 @@ def test_intervals_hold_the_value_and_stay_in_range() -> None:
     assert found.high.max() <= 1
 
 
+@pytest.mark.parametrize("light", ["sh", "lamps"])
+def test_a_known_metallic_is_certain(light: Any) -> None:
+    scene = make_scene("spheres", size=12, lights=4, held_out=1, seed=1)
+    options: dict[str, Any] = {"refine_normals": "off", "iterations": 3, "threads": 1}
+    found = pbrfit.decompose(scene, light=light, metallic=0.5, **options)
+    told = known(found.uncertainty)
+    assert not told.deviation.metallic[found.mask].any()
+    for values in (found.materials, told.low, told.high):
+        assert (values.metallic[found.mask] == 0.5).all()
+
+
 def test_what_no_picture_shows_is_as_unsure_as_a_guess() -> None:
     """A pixel in one picture: three samples for five unknowns, and its neighbour has them all."""
     scene, _, _ = scene_and_x(known_lights=True)

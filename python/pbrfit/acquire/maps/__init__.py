@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.acquire.maps import marigold
 from pbrfit.acquire.normals.maps import check_reducible
 from pbrfit.io.images import read_data, read_picture
 from pbrfit.io.quoting import listed
 from pbrfit.model.materials import Materials
 from pbrfit.scene.estimates import of_maps, read, reduced
-
-NETWORKS = ("marigold-iid", "rgbx")
 
 ENSEMBLE = 5
 
@@ -32,32 +31,23 @@ NAMES = {
 """What the name of a map's file contains, in lower case."""
 
 
-def by_network(
-    source: str,
+def by_marigold(
     srgb8: NDArray[np.uint8],
     *,
-    model: str | None = None,
-    ensemble: int | None = None,
+    model: str = marigold.MODEL,
+    ensemble: int = ENSEMBLE,
     steps: int | None = None,
     seed: int = 0,
     device: str = "auto",
 ) -> Materials:
-    """Maps of a picture (H, W, 3), sRGB, by "marigold-iid" or "rgbx".
+    """Maps of a picture (H, W, 3), sRGB, by Marigold-IID.
 
-    `model` is another checkpoint, on the Hugging Face Hub or in a folder; `ensemble` predictions of
-    Marigold are combined; `steps` are the sampler's, `seed` is that of its noise. Raises InputError
-    if packages or weights are missing, or memory runs out.
+    `model` is another checkpoint, on the Hugging Face Hub or in a folder; `ensemble` predictions
+    are combined; `steps` are the sampler's, `seed` is that of its noise. Raises InputError if
+    packages or weights are missing, or memory runs out.
     """
-    if source == "rgbx":
-        from pbrfit.acquire.maps import rgbx
-
-        network = rgbx.RgbToX(model or rgbx.MODEL, device=device)
-        found = network.maps(srgb8, seed=seed, steps=steps)
-    else:
-        from pbrfit.acquire.maps import marigold
-
-        peer = marigold.Marigold(model or marigold.MODEL, device=device)
-        found = peer.maps(srgb8, seed=seed, samples=ensemble or ENSEMBLE, steps=steps)
+    network = marigold.Marigold(model, device=device)
+    found = network.maps(srgb8, seed=seed, samples=ensemble, steps=steps)
     clipped = {name: np.clip(plane, 0, 1) for name, plane in vars(found).items()}
     return of_maps(clipped, srgb8.shape[:2])
 

@@ -21,19 +21,10 @@ WHAT = "Marigold-IID"
 
 
 class Marigold:
-    """The pipeline, loaded.
+    """The pipeline, loaded: a model by its name on the Hugging Face Hub, or a local folder.
 
-    Parameters
-    ----------
-    model
-        Name on the Hugging Face Hub, or a local folder.
-    device
-        As for `pbrfit.acquire.weights.placement`.
-
-    Raises
-    ------
-    InputError
-        If packages or weights are missing, or the checkpoint predicts other things.
+    `device` is as for `pbrfit.acquire.weights.placement`. Raises InputError if packages or weights
+    are missing, or the checkpoint predicts other things.
     """
 
     def __init__(self, model: str = MODEL, *, device: str = "auto") -> None:
@@ -51,18 +42,10 @@ class Marigold:
     def maps(
         self, srgb8: NDArray[np.uint8], *, seed: int, samples: int, steps: int | None
     ) -> Materials:
-        """Maps of a picture (H, W, 3): the median of some predictions, as the pipeline forms it.
+        """Maps of a picture (H, W, 3): the median of `samples` predictions, by the pipeline.
 
-        Parameters
-        ----------
-        srgb8
-            The picture.
-        seed
-            Of the noise it starts from.
-        samples
-            How many predictions.
-        steps
-            Of the sampler; None = as the model recommends.
+        `seed` is of the noise it starts from, `steps` of the sampler; None = as the model
+        recommends.
         """
         import torch
         from PIL import Image
@@ -101,10 +84,7 @@ def targets(model: str, properties: Any) -> dict[str, tuple[int, Any, str]]:
     The checkpoint's own `target_properties` say it: the order in ``target_names``; of each a
     ``prediction_space``, "srgb", "linear", or "stack" of up to three scalars.
 
-    Raises
-    ------
-    InputError
-        If albedo, roughness or metallicity is not among them.
+    Raises InputError if albedo, roughness or metallicity is not among them.
     """
     found: dict[str, tuple[int, Any, str]] = {}
     for i, name in enumerate((properties or {}).get("target_names", ())):

@@ -104,5 +104,6 @@ def equations(
         variance = np.einsum("ki,pij,kj->p", halves, shaken, halves, optimize=True)
         misfit = np.abs(rows[:, :6] @ halves.ravel()) / np.sqrt(np.maximum(variance, 1e-300))
         middle = max(1.4826 * float(np.median(misfit)), np.finfo(np.float64).tiny)
-        weights = 1 / (1 + (misfit / (3 * middle)) ** 2) ** 2
+        with np.errstate(over="ignore"):  # beside an exact fit of most, what jumps weighs nothing
+            weights = 1 / (1 + (misfit / (3 * middle)) ** 2) ** 2
     return found

@@ -108,7 +108,7 @@ def weights_of(relative: Array, usable: Mask, predicted: Array, sigma: float) ->
 def solved(relative: Array, weights: Array, lamps: Array) -> Array:
     """Weighted least squares at each pixel; 0 in directions that samples say nothing of."""
     # The ridge is far below what any usable sample weighs: it decides only where nothing does.
-    ridge = 1e-9 * (lamps**2).sum() / len(lamps)
+    ridge = max(1e-9 * (lamps**2).sum() / len(lamps), 1e-300)  # lamps may all be dark
     matrices = moments(weights, lamps) + ridge * np.eye(3)
     return np.asarray(np.linalg.solve(matrices, ((weights * relative) @ lamps)[..., None])[..., 0])
 

@@ -53,6 +53,7 @@ def finished(
         leaning = np.linalg.solve(precision + lean * np.eye(3), right[..., None])[..., 0]
         vectors = np.where(known[:, None], vectors, leaning)
     unit, _ = unit_and_length(vectors)
+    unit[~unit.any(axis=1)] = 0.0, 0.0, 1.0  # neither the pixel nor a neighbour tells anything
     directions, strengths = unit_and_length(lamps)
     shading = np.maximum(unit @ directions.T, 0.0)
     # Pixels of which no sample follows the law have an albedo all the same.

@@ -386,7 +386,11 @@ def deviations(
         fit.weights = weights[rows]
         own, mixed = fit.pixel_system()
         np.einsum("puu->pu", own)[:] += 1e-9
-        inverse = np.linalg.inv(own)
+        try:
+            inverse = np.linalg.inv(own)
+        except np.linalg.LinAlgError:  # sharp highlights tell so much that the rest is rounded off
+            size = np.sqrt(np.einsum("puu,pvv->puv", own, own))
+            inverse = np.linalg.inv(own / size + 1e-14 * np.eye(UNKNOWNS)) / size
         moved = mixed if len(shared) == mixed.shape[-1] else mixed[..., shared]
         moves = (inverse @ moved).reshape(UNKNOWNS * len(own), len(shared))
         more = ((moves @ of_shared) * moves).sum(axis=-1)

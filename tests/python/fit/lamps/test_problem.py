@@ -166,6 +166,10 @@ def test_matrices_that_rounding_made_indefinite_tell_nothing(
     for found in deviations(pixels, state, noise, weights, Freedom(normals=True), np.zeros((0, 0))):
         assert np.isinf(found[:, 5]).all()
         np.testing.assert_allclose(found[:, :5], 1)
+    own[:, 4:, 4:] = 1e15  # singular: the other numbers are what they were, these are not certain
+    for found in deviations(pixels, state, noise, weights, Freedom(normals=True), np.zeros((0, 0))):
+        assert (found[:, 4:] > 1e-3).all()
+        np.testing.assert_allclose(found[:, :4], 1)
 
 
 @pytest.mark.parametrize(("apart", "wrong"), [(0.49, 0.0), (-0.49, 0.0), (1.3, 2.3), (-1.3, 0.7)])
