@@ -671,8 +671,8 @@ class LampFit:
             variances[:] = np.inf
         dark = (variances[:, :3] >= UNIFORM_VARIANCE).all(axis=1)
         variances[:, :4] = np.minimum(variances[:, :4], UNIFORM_VARIANCE)
-        known = self.options.metallic is not None
-        variances[known | dark, 4] = 0.0 if known else METALLIC_DEVIATION**2
+        held = self.options.metallic is not None
+        variances[held | dark, 4] = 0.0 if held else METALLIC_DEVIATION**2
         sigma = np.sqrt(variances)
         value = np.concatenate(
             [
