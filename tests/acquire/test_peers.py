@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from acquire.tiny_maps import TARGETS, save_tiny_marigold_iid, save_tiny_rgbx
-from pbrfit import InputError, Objective
+from pbrfit import InputError, Objective, Scene
 from pbrfit.acquire.maps.marigold import Marigold, targets
 from pbrfit.cli import main
 from pbrfit.io.color import decode_srgb
@@ -55,6 +55,16 @@ def test_marigold_gives_maps_of_the_pictures_size(iid: str) -> None:
     np.testing.assert_allclose(own.albedo, decode_srgb(raw[0]), atol=1e-6)
     np.testing.assert_allclose(own.roughness, raw[1, ..., 0], atol=1e-6)
     np.testing.assert_allclose(own.metallic, raw[1, ..., 1], atol=1e-6)
+
+
+def test_maps_become_estimates_of_a_scene(iid: str, tmp_path: Path) -> None:
+    make_scene("room", size=48, lights=3).save(tmp_path / "scene")
+    given = ["--model", iid, "--device", "cpu", "--ensemble", "3", "--steps", "1"]
+    assert main(["maps", str(tmp_path / "scene"), *given]) == 0
+    found = Scene.load(tmp_path / "scene").estimates
+    assert found is not None
+    assert found.albedo.shape == (48, 48, 3)
+    assert 0 <= found.roughness.min() < found.roughness.max() <= 1
 
 
 def test_the_order_of_targets_is_the_checkpoints_own() -> None:

@@ -41,7 +41,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "marigold-iid: a network's; FILE: maps of any tool by their names, such as basecolor.png "
         "roughness.png metallic.png, or a materials.exr (default: marigold-iid)"
     )
-    source = cli.value("SOURCE", str, said, dest="source", nargs="+", default=["marigold-iid"])
+    source = cli.value("SOURCE", str, said, dest="source", nargs="+")
     cli.add_flags(parser, **{"from": source})
     cli.add_flags(parser, overwrite=cli.switch("replace existing estimates"))
     cli.add_quiet(parser, "no summary")
@@ -50,8 +50,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write `estimates.exr`."""
-    kind = "marigold-iid" if options.source == ["marigold-iid"] else "file"
-    paths, options.source = options.source, " ".join(options.source)
+    paths = options.source or ["marigold-iid"]
+    options.source = " ".join(paths)
+    kind = "marigold-iid" if options.source == "marigold-iid" else "file"
     for path in paths if kind == "file" else []:
         if not Path(path).is_file():
             raise InputError(f"--from: expected marigold-iid or files, found {path!r}")

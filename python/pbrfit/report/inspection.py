@@ -139,7 +139,8 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
     if scene.normals_known and scene.normal_sigma is not None:
         middle, most = np.percentile(scene.normal_sigma[scene.valid], [50, 95])
         error = f"{middle:.1f} degrees (median), {most:.1f} (95 %), from {UNCERTAINTY}"
-    from pbrfit.fit.given import contradiction  # here: it needs scipy, which takes long to import
+    from pbrfit.fit.estimates import mismatch
+from pbrfit.fit.given import contradiction  # here: it needs scipy, which takes long to import
 
     found = [
         ("pictures", f"{len(scene.images)} of {width} × {height} pixels{looked}"),
@@ -159,6 +160,8 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
         ("contradictions", one.in_words() if (one := contradiction(scene)) else "none found"),
         ("ground truth", "none" if scene.truth is None else "yes, errors will be reported"),
     ]
+    if scene.estimates is not None and (why := mismatch(scene)):
+        found.append(("estimates", f"not used: {why}"))
     found += [(f"assumed {topic}", fact) for topic, fact in scene.assumed.items()]
     if "model" not in scene.assumed:
         by = f"{scene.model}, with which the pictures were rendered"
