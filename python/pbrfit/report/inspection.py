@@ -140,7 +140,7 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
         middle, most = np.percentile(scene.normal_sigma[scene.valid], [50, 95])
         error = f"{middle:.1f} degrees (median), {most:.1f} (95 %), from {UNCERTAINTY}"
     from pbrfit.fit.estimates import mismatch
-from pbrfit.fit.given import contradiction  # here: it needs scipy, which takes long to import
+    from pbrfit.fit.given import contradiction  # here: it needs scipy, which takes long to import
 
     found = [
         ("pictures", f"{len(scene.images)} of {width} × {height} pixels{looked}"),
