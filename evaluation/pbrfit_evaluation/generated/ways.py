@@ -87,7 +87,7 @@ WAYS: Mapping[str, Handled] = {
 FEW = ("constant", "exact", "repainted", "together", "maps", "path")
 """Those of a quick look."""
 
-PICTURED = ("exact", "repainted", "together", "path")
+PICTURED = ("exact", "repainted", "together", "maps", "path")
 """Ways whose maps are shown."""
 
 
