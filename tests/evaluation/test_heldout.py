@@ -314,7 +314,7 @@ def test_a_fit_is_told_nothing_and_sees_no_held_out_picture(
         seen.append((scene, options))
         ones = np.ones((SIZE, SIZE))
         truth = SimpleNamespace(materials=Materials(np.full((SIZE, SIZE, 3), 0.5), ones, 0 * ones))
-        chosen = SimpleNamespace(as_json=lambda: {"kind": threads})
+        chosen = Correction(threads)  # whatever dataclass
         given = SimpleNamespace(truth=truth, normals=cap(), valid=scene.valid, fov=0.0)
         return stand_in(given, held_out=chosen, assumed={"light": "so"})  # type: ignore[arg-type]
 
@@ -327,7 +327,7 @@ def test_a_fit_is_told_nothing_and_sees_no_held_out_picture(
     assert [one["name"] for one in values["own"]] == ["1"]
     assert values["lamp"][0]["rmse"] != values["own"][0]["rmse"]
     assert values["normals"]["mean"] < 0.01
-    assert values["chosen"]["held_out"] == {"kind": 1}
+    assert values["chosen"]["held_out"]["reference"] == 1
     measure.run(task(source, "directions", keep=3), 1)
     scene = seen.pop()[0]
     assert scene.names == ("0", "3", "7")

@@ -82,15 +82,9 @@ def check_place(
             f"{out}: expected a folder that does not exist yet, found {there}; --resume goes on "
             "with it, --overwrite makes it anew from what the journal holds and what it lacks"
         )
-    _check_pictures(out)
-
-
-def _check_pictures(out: Path) -> None:
-    """Refuse to take away pictures that no run put there."""
-    if not (out / PICTURES).is_dir():
-        return
-    made = {f"{name}.png" for name in (PHOTO, *journal.names(out / journal.FOLDER))}
-    for path in sorted((out / PICTURES).iterdir()):
+    pictures = sorted((out / PICTURES).iterdir()) if (out / PICTURES).is_dir() else []
+    made = {f"{name}.png" for name in (PHOTO, *(journal.names(folder) if pictures else ()))}
+    for path in pictures:
         of_a_system = path.name.startswith(".") or path.suffix.lower() in _OF_SYSTEMS
         if path.name not in made and not of_a_system:
             raise FileExistsError(

@@ -69,15 +69,6 @@ def time_in_words(seconds: float) -> str:
     return f"{minutes:.0f} min" if minutes < 100 else f"{minutes / 60:.0f} h"
 
 
-def _aligned(scene: Scene) -> list[tuple[str, str]]:
-    """Whether the pictures line up, a line for each that does not."""
-    found = register(scene)
-    if found.in_line:
-        return [("aligned", found.in_words())]
-    said = [f"NO: {one.in_words()}" for one in found.placements if not one.in_line]
-    return [("aligned", said[0]), *(("", one) for one in said[1:])]
-
-
 def _depth(scene: Scene) -> str:
     """What the depth is like, and how it goes with the normals."""
     if scene.depth is None:
@@ -139,6 +130,9 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
     if scene.normals_known and scene.normal_sigma is not None:
         middle, most = np.percentile(scene.normal_sigma[scene.valid], [50, 95])
         error = f"{middle:.1f} degrees (median), {most:.1f} (95 %), from {UNCERTAINTY}"
+    alignment = register(scene)
+    moved = [f"NO: {one.in_words()}" for one in alignment.placements if not one.in_line]
+    first, *others = moved or [alignment.in_words()]
     from pbrfit.fit.estimates import mismatch
     from pbrfit.fit.given import contradiction  # here: it needs scipy, which takes long to import
 
@@ -156,7 +150,8 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
         ("colour", "three channels" if layout.channels > 1 else "grey: one channel will be fitted"),
         ("lights", "known" if layout.lighting_known else "unknown, will be fitted"),
         ("lamps", _lamps(scene)),
-        *_aligned(scene),
+        ("aligned", first),
+        *(("", one) for one in others),
         ("contradictions", one.in_words() if (one := contradiction(scene)) else "none found"),
         ("ground truth", "none" if scene.truth is None else "yes, errors will be reported"),
     ]

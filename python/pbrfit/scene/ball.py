@@ -195,7 +195,10 @@ def lights_of_balls(
     how much of the balls is bright. Raises InputError if a picture shows no lamp.
     """
     pieces = [_Piece.of(images, limits, ball, fov) for ball in balls]
-    kind = kind or _kind(pieces)
+    if kind is None:  # a mirror ball has small highlights, a matt one is bright on a side
+        planes = [plane for piece in pieces for plane in piece.brightness()[:, piece.inside]]
+        shares = [np.mean(plane >= 0.5 * plane.max(initial=0.0)) for plane in planes]
+        kind = "mirror" if np.median(shares) <= MIRROR_SHARE_MAX else "matt"
     find = _in_mirror if kind == "mirror" else _on_matt
     found = [[find(piece, i, name) for i, name in enumerate(names)] for piece in pieces]
     directions = np.array([[one.direction for one in row] for row in found])
@@ -396,16 +399,6 @@ class _Found(NamedTuple):
     degrees: float
     residual: float
     place: tuple[float, float]
-
-
-def _kind(pieces: Sequence[_Piece]) -> BallKind:
-    """A mirror ball has small highlights, a matt one is bright on a side."""
-    shares = [
-        np.mean(plane >= 0.5 * plane.max(initial=0.0))
-        for piece in pieces
-        for plane in piece.brightness()[:, piece.inside]
-    ]
-    return "mirror" if np.median(shares) <= MIRROR_SHARE_MAX else "matt"
 
 
 def _in_mirror(piece: _Piece, picture: int, name: str) -> _Found:

@@ -78,7 +78,11 @@ def _draw(count: int, rng: np.random.Generator, sh_order: int) -> Array:
     directions = rng.normal(size=(*shape, 3))
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    directions[:, 0] = even_directions(count) @ turn
+    # Of key lights a Fibonacci spiral: spread evenly over the sphere.
+    i = np.arange(count) + 0.5
+    z, azimuth = 1 - 2 * i / count, np.pi * (1 + np.sqrt(5)) * i
+    ring = np.sqrt(1 - z**2)
+    directions[:, 0] = np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z], axis=-1) @ turn
     directions += _TOWARDS_VIEWER
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
 
@@ -113,12 +117,3 @@ def zonal(polynomial: tuple[float, ...]) -> Array:
     bands[: len(polynomial)] = poly2leg(polynomial)
     orders = 2 * np.arange(4) + 1
     return np.repeat(4 * np.pi / orders * bands, orders)
-
-
-def even_directions(count: int) -> Array:
-    """(count, 3) unit vectors spread evenly over the sphere: a Fibonacci spiral."""
-    i = np.arange(count) + 0.5
-    z = 1 - 2 * i / count
-    azimuth = np.pi * (1 + np.sqrt(5)) * i
-    ring = np.sqrt(1 - z**2)
-    return np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z], axis=-1)

@@ -237,11 +237,16 @@ class Scenery:
             pictures = np.full((count, self.mask.size, 3), np.nan)
             for start in range(0, len(places), PIECE):
                 piece = places[start : start + PIECE]
-                of = self._arguments(materials, normals, piece)
+                n, albedo, roughness, metallic = (
+                    np.ascontiguousarray(one.reshape(self.mask.size, -1)[piece], np.float64)
+                    for one in (normals, materials.albedo, materials.roughness, materials.metallic)
+                )
+                n = n / np.linalg.norm(n, axis=-1, keepdims=True)
                 tables = self.transfer(
-                    piece, model, rays=rays, threads=threads, images=images, normals=of[0]
+                    piece, model, rays=rays, threads=threads, images=images, normals=n
                 )
                 bounced = tables.scaled(np.ones(count))
+                of = n, views(shape, self.fov, piece), albedo, roughness[:, 0], metallic[:, 0]
                 pictures[:, piece] = _core.render(*of, light, threads, model, tables.rows, bounced)
             return pictures.reshape(count, *shape, 3)
 
@@ -293,19 +298,6 @@ class Scenery:
             )
         what = "block light" if transport.kind == "occlusion" else "block and reflect light"
         return f"{what} ({transport.why}): {', '.join(parts)}; in median depths"
-
-    def _arguments(
-        self, materials: Materials, normals: NDArray[Any], places: NDArray[np.intp]
-    ) -> tuple[Array, Array, Array, Array, Array]:
-        """Normals, views, albedo, roughness and metallic of pixels, for the core."""
-        albedo, roughness, metallic = (
-            np.ascontiguousarray(of_map.reshape(self.mask.size, -1)[places], np.float64)
-            for of_map in (materials.albedo, materials.roughness, materials.metallic)
-        )
-        n = np.asarray(normals, np.float64).reshape(-1, 3)[places]
-        n = n / np.linalg.norm(n, axis=-1, keepdims=True)
-        view = views(self.mask.shape, self.fov, places)
-        return n, view, albedo, roughness[:, 0], metallic[:, 0]
 
 
 def _starts(points: Array, found: Relief, walls: Sequence[Wall]) -> NDArray[np.float32]:
