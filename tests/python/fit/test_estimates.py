@@ -11,7 +11,15 @@ import pytest
 
 from pbrfit import FitOptions, InputError, Priors, Scene, decompose
 from pbrfit.cli import main
-from pbrfit.fit.estimates import ALBEDO_SIGMA, DARKEST, FINISH_SIGMA, evidence, fused, mismatch
+from pbrfit.fit.estimates import (
+    ALBEDO_SIGMA,
+    DARKEST,
+    FINISH_SIGMA,
+    evidence,
+    fused,
+    mismatch,
+    used,
+)
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.tiles.windows import Window, cut
 from pbrfit.io import images
@@ -125,19 +133,18 @@ def test_noisy_pictures_and_estimates_tell_more_than_either() -> None:
     assert found["metallic"] < 0.1 < errors(scene, known(with_maps(scene).estimates))["metallic"]
 
 
-def test_maps_of_another_view_change_nothing_and_are_said(caplog: pytest.LogCaptureFixture) -> None:
-    scene = room(noise=0.02)
-    other = known(with_maps(room(seed=8), 8).estimates)
-    wrong = replace(scene, estimates=other)
-    assert mismatch(wrong)
+def test_maps_of_another_view_are_not_used(caplog: pytest.LogCaptureFixture) -> None:
+    wrong = replace(room(), estimates=known(with_maps(room(seed=8), 8).estimates))
     with caplog.at_level(logging.WARNING, "pbrfit"):
-        found = decompose(wrong, FAST)
-    assert (
-        "estimates: not used: their edges and those of the pictures have a correlation"
-        in caplog.text
-    )
-    assert found.assumed["estimates"].startswith("not used")
-    np.testing.assert_array_equal(found.materials.albedo, decompose(scene, FAST).materials.albedo)
+        scene, options = used(wrong, FitOptions())
+    assert "estimates: not used: their edges and those of the pictures" in caplog.text
+    assert scene.estimates is None
+    assert scene.assumed["estimates"].startswith("not used")
+    assert options == FitOptions()
+    scene, options = used(with_maps(room()), FitOptions(uncertainty=False))
+    assert scene.estimates is not None
+    assert options.uncertainty
+    assert options.priors.material == 1
 
 
 @pytest.mark.parametrize("seed", [3, 4, 5, 6])
