@@ -173,7 +173,6 @@ def test_adjoint_by_the_normal_against_finite_differences(
         ((4, 5), (), (), (), (), (4, 5)),
         ((), (4, 1), (5,), (1, 5), (), (4, 5)),
         ((2, 1, 1), (3, 1), (4,), (), (2, 3, 4), (2, 3, 4)),
-        ((0,), (0,), (0,), (0,), (0,), (0,)),
     ],
 )
 def test_leading_dimensions_broadcast(
