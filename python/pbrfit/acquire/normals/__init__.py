@@ -71,8 +71,7 @@ def estimate(
         depth map, see `pbrfit.model.depth_normals`; ``convention``, a
         `pbrfit.io.normal_files.Convention`, of a file.
     """
-    height, width = srgb8.shape[:2]
-    size = (height, width)
+    size = srgb8.shape[0], srgb8.shape[1]
     kind = kind_of(source)
     if kind == "flat":
         return Normals(np.broadcast_to(FACING, (*size, 3)).copy(), record={"source": kind})
