@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from acquire.tiny_maps import picture, save_tiny_depth_anything, save_tiny_marigold_depth
-from pbrfit.acquire.depth import depth_anything, marigold
+from pbrfit.acquire import marigold
+from pbrfit.acquire.depth import depth_anything
 
 
 @pytest.fixture(scope="module")
@@ -20,14 +21,14 @@ def network(tmp_path_factory: pytest.TempPathFactory) -> str:
 @pytest.mark.parametrize("size", [(97, 131), (64, 64)])
 def test_marigold_gives_relative_depth_of_any_size(network: str, size: tuple[int, int]) -> None:
     options: dict[str, Any] = {"model": network, "device": "cpu"}
-    found, record = marigold.from_picture(picture(*size), ensemble=2, **options)
+    found, record = marigold.depth_of(picture(*size), ensemble=2, **options)
     assert found.shape == size
     assert np.isfinite(found).all()
     assert np.ptp(found) > 0
     assert (record["model"], record["ensemble"], record["resolution"]) == (network, 2, 64)
-    same, _ = marigold.from_picture(picture(*size), ensemble=2, **options)
+    same, _ = marigold.depth_of(picture(*size), ensemble=2, **options)
     np.testing.assert_array_equal(found, same)
-    other, _ = marigold.from_picture(picture(*size), ensemble=2, seed=5, **options)
+    other, _ = marigold.depth_of(picture(*size), ensemble=2, seed=5, **options)
     assert np.abs(found - other).max() > 1e-4
 
 

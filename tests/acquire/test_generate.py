@@ -17,9 +17,8 @@ from acquire.tiny_maps import (
     save_tiny_sam2,
 )
 from command_runs import ran
-from pbrfit.acquire import segments
+from pbrfit.acquire import marigold, segments
 from pbrfit.acquire.depth import depth_anything
-from pbrfit.acquire.normals import marigold
 from pbrfit.cli import main
 from pbrfit.scene.scene import Scene
 
@@ -79,7 +78,7 @@ def test_tiny_networks_make_all_that_a_scene_may_have(
 ) -> None:
     here = photo.parent
     for module, name, save in (
-        (marigold, "from_picture", save_tiny_marigold_normals),
+        (marigold, "normals_of", save_tiny_marigold_normals),
         (segments, "by_sam2", save_tiny_sam2),
         (depth_anything, "from_picture", partial(save_tiny_depth_anything, metric=False)),
     ):

@@ -13,7 +13,7 @@ import torch
 
 from acquire.tiny_maps import TARGETS, save_tiny_marigold_iid, save_tiny_rgbx
 from pbrfit import InputError, Objective, Scene
-from pbrfit.acquire.maps.marigold import Marigold, targets
+from pbrfit.acquire.marigold import MarigoldIID, targets
 from pbrfit.cli import main
 from pbrfit.io.color import decode_srgb
 from pbrfit.synthetic import make_scene
@@ -34,7 +34,7 @@ SHOWN = np.random.default_rng(0).integers(0, 256, (97, 131, 3), dtype=np.uint8)
 
 
 def test_marigold_gives_maps_of_the_pictures_size(iid: str) -> None:
-    peer = Marigold(iid, device="cpu")
+    peer = MarigoldIID(iid, device="cpu")
     found = peer.maps(SHOWN, seed=0, samples=3, steps=None)
     assert found.albedo.shape == (97, 131, 3)
     assert found.roughness.shape == found.metallic.shape == (97, 131)
@@ -45,7 +45,7 @@ def test_marigold_gives_maps_of_the_pictures_size(iid: str) -> None:
     # Albedo is encoded, the scalars are not: what the pipeline itself gives says which is which.
     from PIL import Image
 
-    raw = peer._pipeline(
+    raw = peer._network(
         Image.fromarray(SHOWN[:48, :64]),
         processing_resolution=0,
         ensemble_size=3,

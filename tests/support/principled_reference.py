@@ -99,19 +99,6 @@ def at_cosine(cosine: float) -> tuple[Array, Array]:
     return np.array([0.0, 0, 1]), np.array([-math.sqrt(1 - cosine**2), 0, cosine])
 
 
-def lobe_functions(r: float, cosine: float, polar: int = 160, around: int = 320) -> Array:
-    """Ten a_j and ten b_j with their sinᵐ, then κ, (21,)."""
-    normal, view = at_cosine(cosine)
-    lights = Lights.about_mirror(normal, view, r, polar, around)
-    response, v_h = lobe(normal, view, lights.directions, r)
-    basis = sh_basis(lights.directions)[:, EVEN]
-    response = response * lights.area
-    grazing = (1 - v_h) ** 5
-    a, b = (response * (1 - grazing)) @ basis, (response * grazing) @ basis
-    kappa = (response @ glass(v_h)) / (response @ schlick(DIELECTRIC_F0, v_h))
-    return np.concatenate((a, b, [kappa]))
-
-
 def reflectance(r: float, cosine: float, polar: int, around: int) -> float:
     """E: the part of uniform light that a lobe of F = 1 reflects."""
     normal, view = at_cosine(cosine)
@@ -152,25 +139,3 @@ def shade(
     reflected = response * ((1 - metallic) * gain * kappa * fresnel + metallic * of_metal)
     reflected = reflected + kd[:, None] * n_l
     return np.asarray((reflected * lights.area) @ sh_basis(lights.directions))
-
-
-def rotation_rows(normal: Array, view: Array) -> Array:
-    """(10, 16): Y_j of a direction in the pixel's frame, in terms of its sixteen Y_k in the world.
-
-    The frame has z = normal and x along the mirror direction's part in the surface; any x where
-    the normal is the view. ∫ Y_j(local l) Y_k(l) dl by a rule that is exact up to degree 6.
-    """
-    mirror = 2 * float(normal @ view) * normal - view
-    along = mirror - float(normal @ mirror) * normal
-    if np.linalg.norm(along) < 1e-12:
-        along = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-    along = along / np.linalg.norm(along)
-    frame = np.array([along, np.cross(normal, along), normal])
-    nodes, weights = leggauss(8)
-    azimuth = 2 * math.pi * np.arange(16) / 16
-    sine = np.sqrt(1 - nodes**2)[:, None]
-    height = np.repeat(nodes[:, None], 16, axis=1)
-    light = np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), height], axis=-1)
-    light = light.reshape(-1, 3)
-    area = np.repeat(weights * 2 * math.pi / 16, 16)
-    return np.asarray((sh_basis(light @ frame.T)[:, EVEN] * area[:, None]).T @ sh_basis(light))

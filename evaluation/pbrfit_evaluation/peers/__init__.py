@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import get_args
 
-from pbrfit.acquire.maps import marigold
+from pbrfit.acquire.marigold import MATERIALS_MODEL
 from pbrfit.acquire.weights import Device
 from pbrfit_evaluation.options import count, cycles_cache, option
 from pbrfit_evaluation.peers import figures, rgbx
@@ -51,7 +51,7 @@ SUITE = Suite(
         option(
             "--marigold",
             metavar="ID|FOLDER",
-            default=marigold.MODEL,
+            default=MATERIALS_MODEL,
             help="Marigold-IID (default: %(default)s)",
         ),
         option(

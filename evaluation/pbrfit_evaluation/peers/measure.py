@@ -141,9 +141,9 @@ def _loaded(method: str, model: str | None, device: str, longer_side: int) -> Pe
     assert model is not None
     try:
         if method == "marigold":
-            from pbrfit.acquire.maps.marigold import Marigold
+            from pbrfit.acquire.marigold import MarigoldIID
 
-            marigold = Marigold(model, device=device)
+            marigold = MarigoldIID(model, device=device)
             return lambda picture, task: marigold.maps(
                 picture, seed=task.seed, samples=task.samples, steps=task.steps
             )

@@ -40,7 +40,7 @@ WHAT = "RGB-X"
 
 
 class RgbToX:
-    """The networks, loaded: `model`, `device` and errors are as of `marigold.Marigold`.
+    """The networks, loaded: `model`, `device` and errors are as of `MarigoldIID`.
 
     `dtype` is as of `pbrfit.acquire.weights.placement`; `longer_side`, in pixels, that of the
     picture that the network sees.

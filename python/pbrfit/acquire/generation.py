@@ -278,23 +278,17 @@ def _or_instead(what: str, source: str, others: str, device: str) -> Iterator[di
 @contextmanager
 def _kept(journal: Journal, out: Path) -> Iterator[None]:
     """Let what stops a run say what it left behind."""
-
-    def kept() -> str:
-        count = len(journal)
-        pictures = "1 answer is" if count == 1 else f"{count} answers are"
-        return f"{pictures} kept in {out / FOLDER}, and --resume goes on from there"
-
     try:
         yield
-    except KeyboardInterrupt:
-        if len(journal):
-            raise KeyboardInterrupt(f"interrupted; {kept()}") from None
-        raise
-    except (InputError, MemoryError) as error:
-        if len(journal):
-            said = str(error) or "out of memory"
-            raise InputError(f"{said}; {kept()}") from error
-        raise
+    except (KeyboardInterrupt, InputError, MemoryError) as error:
+        count = len(journal)
+        if not count:
+            raise
+        answers = "1 answer is" if count == 1 else f"{count} answers are"
+        kept = f"{answers} kept in {out / FOLDER}, and --resume goes on from there"
+        if isinstance(error, KeyboardInterrupt):
+            raise KeyboardInterrupt(f"interrupted; {kept}") from None
+        raise InputError(f"{str(error) or 'out of memory'}; {kept}") from error
 
 
 def _too_few(report: GenerationReport) -> str:

@@ -45,14 +45,7 @@ FLUX2_KLEIN = Limits(multiple=16, least_side=64, most_area=1024 * 1024, most_asp
 """`diffusers.Flux2KleinPipeline` 0.42: smaller or longer is refused, larger is scaled down, and
 what is no multiple of 16 is cut off, half on each side."""
 
-GPT_IMAGE_2 = Limits(
-    multiple=16,
-    least_side=16,
-    most_side=3840,
-    least_area=655_360,
-    most_area=2560 * 1440,
-    most_aspect=3,
-)
+GPT_IMAGE_2 = Limits(most_side=3840, least_area=655_360, most_area=2560 * 1440, most_aspect=3)
 """OpenAI's `images.edit`: multiples of 16, 1:3 to 3:1, at most 3840 × 2160, experimental above
 2560 × 1440 (openai client 3.54). Of the "current pixel limits" that it leaves to the service, the
 least area is as those who resell it document it."""

@@ -84,24 +84,18 @@ def read_photo(
     path = Path(path)
     picture = images.read_picture(path, color_space)
     height, width = picture.pixels.shape[:2]
-    if min(height, width) < LEAST_SIDE:
-        raise InputError(
-            f"{path}: expected a photograph of at least {LEAST_SIDE} × {LEAST_SIDE} pixels, "
-            f"found {width} × {height}"
-        )
     size = (height, width) if max_size is None else reduced_size((height, width), max_size)
     if min(size) < LEAST_SIDE:
+        made = f", which max_size {max_size} makes {size[1]} × {size[0]}"
         raise InputError(
-            f"{path}: expected at least {LEAST_SIDE} pixels on the shorter side, found "
-            f"{width} × {height}, which max_size {max_size} makes {size[1]} × {size[0]}"
+            f"{path}: expected a photograph of at least {LEAST_SIDE} × {LEAST_SIDE} pixels, "
+            f"found {width} × {height}{made * (size != (height, width))}"
         )
     assumed = {"color": picture.color}
     assumed |= {"picture": "; ".join(picture.notes)} if picture.notes else {}
     sound = np.asarray(np.isfinite(picture.pixels).all(axis=-1))
     pixels = np.where(sound[..., None], picture.pixels, np.float32(0))
     valid = sound if picture.alpha is None else sound & (picture.alpha >= 0.5)
-    if not valid.any():
-        raise InputError(f"{path}: expected opaque, finite pixels, found none")
     if not valid.all():
         assumed["alpha"] = f"{np.count_nonzero(~valid)} transparent or infinite pixels left out"
     if size != (height, width):
@@ -112,7 +106,9 @@ def read_photo(
         pixels = np.where(nothing, averaged_channels(pixels, size), small).astype(np.float32)
         valid = share >= 0.5
     if not valid.any():
-        raise InputError(f"{path}: expected opaque pixels, found none at {size[1]} × {size[0]}")
+        raise InputError(
+            f"{path}: expected opaque, finite pixels, found none at {size[1]} × {size[0]}"
+        )
     exposure = 0.0
     if picture.stored is None:
         exposure = exposure_of(path, pixels[valid])

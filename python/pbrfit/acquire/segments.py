@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.acquire import weights
-from pbrfit.acquire.normals.maps import check_reducible
+from pbrfit.acquire.normals.files import check_reducible, check_source
 from pbrfit.io import images
 from pbrfit.io.resampling import at_centres
 from pbrfit.scene.folder import MAX_ID
@@ -41,13 +41,11 @@ def segment(
     if source == "sam2":
         return by_sam2(srgb8, **options)
     path = Path(source)
-    if not path.exists() and path.name == source and not path.suffix:
-        raise InputError(f"segments: expected sam2 or a file, found {source!r}")
+    check_source("segments", source, "sam2 or a file")
     ids = images.read_ids(path)
     height, width = srgb8.shape[:2]
-    if ids.shape != (height, width):
-        check_reducible(path, ids.shape, (height, width))
-        ids = at_centres(ids, (height, width))
+    check_reducible(path, ids.shape, (height, width))
+    ids = at_centres(ids, (height, width))
     return ids, {"source": "file", "file": path.name, "segments": len(np.unique(ids[ids > 0]))}
 
 

@@ -148,6 +148,9 @@ def load(
         except Exception as error:
             raise _failed(kind, model, error) from error
         return Loaded(network, {"model": model, "source": "folder", "revision": None})
+    from huggingface_hub import constants
+
+    cache, offline = constants.HF_HUB_CACHE, constants.is_offline_mode()
     if not _is_hub_name(model):
         raise InputError(f"{model}: expected a folder with {kind}, or OWNER/NAME, found neither")
     if _commit(model, marker, revision) is not None:
@@ -158,17 +161,17 @@ def load(
         except InputError:
             raise
         except Exception as error:
-            if _offline() or _out_of_memory(error):
-                raise _failed(kind, model, error, place=f" in {_cache()}") from error
+            if offline or _out_of_memory(error):
+                raise _failed(kind, model, error, place=f" in {cache}") from error
         else:
             return Loaded(network, _hub_record(model, marker, revision))
-    if _offline():
+    if offline:
         raise InputError(
-            f"{kind}: expected the weights {model} in {_cache()}, found none, and HF_HUB_OFFLINE "
+            f"{kind}: expected the weights {model} in {cache}, found none, and HF_HUB_OFFLINE "
             f"forbids to download them: run once without it, or `hf download {model}` where there "
             "is a network, or give a local folder"
         )
-    log.warning("%s: downloading %s to %s", kind, model, _cache())
+    log.warning("%s: downloading %s to %s", kind, model, cache)
     try:
         network = loader(model, local_files_only=False, **options)  # gigabytes: with bars
     except InputError:
@@ -176,7 +179,7 @@ def load(
     except Exception as error:
         if _about_files(error):
             raise _not_downloaded(kind, model, error) from error
-        raise _failed(kind, model, error, place=f" in {_cache()}") from error
+        raise _failed(kind, model, error, place=f" in {cache}") from error
     return Loaded(network, _hub_record(model, marker, revision))
 
 
@@ -266,7 +269,7 @@ def _about_files(error: Exception) -> bool:
 
 
 def _not_downloaded(kind: str, model: str, error: Exception) -> InputError:
-    from huggingface_hub import errors
+    from huggingface_hub import constants, errors
 
     # diffusers says in each case that a file is missing; what the Hub or the network said is below.
     chain = _chain(error)
@@ -282,8 +285,8 @@ def _not_downloaded(kind: str, model: str, error: Exception) -> InputError:
             f"{model}: expected {kind} in a local folder or on the Hub, found neither of that name"
         )
     return InputError(
-        f"{kind}: expected the weights {model} in {_cache()}, found none, and could not download "
-        f"them: {_first_line(chain[-1])}"
+        f"{kind}: expected the weights {model} in {constants.HF_HUB_CACHE}, found none, and could "
+        f"not download them: {_first_line(chain[-1])}"
     )
 
 
@@ -313,15 +316,3 @@ def _is_hub_name(model: str) -> bool:
     except HFValidationError:
         return False
     return model.count("/") == 1 and not model.startswith((".", "~"))
-
-
-def _offline() -> bool:
-    from huggingface_hub import constants
-
-    return bool(constants.is_offline_mode())
-
-
-def _cache() -> str:
-    from huggingface_hub import constants
-
-    return str(constants.HF_HUB_CACHE)

@@ -8,8 +8,8 @@ import shlex
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.acquire.depth import depth_anything, estimate, marigold
-from pbrfit.acquire.marigold import ENSEMBLE
+from pbrfit.acquire.depth import depth_anything, estimate
+from pbrfit.acquire.marigold import DEPTH_MODEL, ENSEMBLE
 from pbrfit.acquire.photo import shown_to_network
 from pbrfit.commands import arguments as cli
 from pbrfit.commands import network_options as network
@@ -31,7 +31,7 @@ MARIGOLD: network.Flags = {
         "E", cli.positive, f"predictions that are averaged (default: {ENSEMBLE})"
     ),
     **network.SAMPLER,
-    **network.checkpoint(f"{marigold.MODEL}, or {depth_anything.MODEL}"),
+    **network.checkpoint(f"{DEPTH_MODEL}, or {depth_anything.MODEL}"),
     **network.DEVICE,
     **network.PRECISION,
 }

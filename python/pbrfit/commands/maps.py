@@ -9,6 +9,7 @@ import numpy as np
 
 from pbrfit._core import InputError
 from pbrfit.acquire import maps
+from pbrfit.acquire.marigold import ENSEMBLE, MATERIALS_MODEL
 from pbrfit.acquire.photo import shown_to_network
 from pbrfit.commands import arguments as cli
 from pbrfit.commands import network_options as network
@@ -18,11 +19,11 @@ from pbrfit.scene.estimates import ESTIMATES_FILE, known_maps
 MARIGOLD: network.Flags = {
     **network.SHOWN,
     "ensemble": cli.value(
-        "E", cli.positive, f"predictions that are combined (default: {maps.ENSEMBLE})"
+        "E", cli.positive, f"predictions that are combined (default: {ENSEMBLE})"
     ),
     "steps": network.SAMPLER["steps"],
     "seed": network.SAMPLER["seed"],
-    **network.checkpoint(maps.marigold.MODEL),
+    **network.checkpoint(MATERIALS_MODEL),
     **network.DEVICE,
 }
 FLAGS = {"marigold-iid": MARIGOLD, "file": {}}

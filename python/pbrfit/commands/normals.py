@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.acquire.marigold import ENSEMBLE
-from pbrfit.acquire.normals import HALF_WEIGHT, Normals, estimate, kind_of, marigold
+from pbrfit.acquire.marigold import ENSEMBLE, NORMALS_MODEL
+from pbrfit.acquire.normals import HALF_WEIGHT, Normals, estimate, kind_of
 from pbrfit.acquire.photo import shown_to_network
 from pbrfit.commands import arguments as cli
 from pbrfit.commands import network_options as network
@@ -37,7 +37,7 @@ FLAGS: dict[str, network.Flags] = {
             f"(default: {ENSEMBLE})",
         ),
         **network.SAMPLER,
-        **network.checkpoint(marigold.MODEL),
+        **network.checkpoint(NORMALS_MODEL),
         **network.DEVICE,
         **network.PRECISION,
     },

@@ -138,7 +138,7 @@ def _of_strength(scene: Scene, model: Model | None) -> Contradiction | None:
 def _of_depth(scene: Scene) -> Contradiction | None:
     if scene.depth is None or not scene.normals_known:
         return None
-    off = compared(scene.depth, scene.normals, scene.fov).depth
+    off = compared(scene.depth, scene.normals, scene.fov)[0]
     if not off > DISAGREEMENT_MIN:
         return None
     said = f"normals of the depth are {off:.0f} degrees from the given ones in the median"

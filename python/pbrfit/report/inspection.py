@@ -79,7 +79,7 @@ def _depth(scene: Scene) -> str:
     said += f"{low:.3g} to {high:.3g}, unknown in {unknown:.1f} % of the mask"
     if not scene.normals_known:
         return said
-    angle = compared(scene.depth, scene.normals, scene.fov).depth
+    angle = compared(scene.depth, scene.normals, scene.fov)[0]
     if np.isnan(angle):
         return said
     return f"{said}; its normals {angle:.1f} degrees (median) from the given ones"

@@ -271,10 +271,9 @@ class SceneArrays:
         if of_depth:
             assumed["depth"] = "; ".join(filter(None, [assumed.get("depth"), *of_depth]))
         normal_sigma = _sigma(self.normal_sigma, valid)
-        if normals_known and self.fov_known:  # an assumed one would put what is seen wrong
-            _warn_if_facing_away(normals[valid], fov, valid)
         if normals_known:
-            _warn_if_flat(normals[valid])
+            # An assumed field of view would put what is seen wrong.
+            _warn_of_normals(normals[valid], fov if self.fov_known else None, valid)
         vars(self).update(
             normals=normals,
             depth=depth,
@@ -726,22 +725,18 @@ def _check_truth(truth: Truth, pictures: int, height: int, width: int) -> None:
             raise InputError(f"truth: expected {name} of shape {shape}, found {np.shape(array)}")
 
 
-def _warn_if_facing_away(
-    normals: NDArray[np.float64], fov: float, valid: NDArray[np.bool_]
+def _warn_of_normals(
+    normals: NDArray[np.float64], fov: float | None, valid: NDArray[np.bool_]
 ) -> None:
-    views = geometry.view_directions(valid.shape[0], valid.shape[1], fov)[valid]
-    share = float(np.mean(geometry.facing_away(normals, views)))
-    if share > MAX_FACING_AWAY:
-        cause = geometry.likely_convention_error(normals, views)
-        log.warning(
-            "normals: %.0f %% face away from the camera; %s",
-            100 * share,
-            f"likely {cause}" if cause else "check their frame, the mask and the field of view",
-        )
-
-
-def _warn_if_flat(normals: NDArray[np.float64]) -> None:
-    """Normals (M, 3) that are all the same may be right, but mostly nobody knew any."""
+    """Warn of normals (M, 3) that face away, or are all the same: mostly nobody knew any then."""
+    if fov is not None:
+        views = geometry.view_directions(valid.shape[0], valid.shape[1], fov)[valid]
+        share = float(np.mean(geometry.facing_away(normals, views)))
+        if share > MAX_FACING_AWAY:
+            cause = geometry.likely_convention_error(normals, views)
+            unknown = "check their frame, the mask and the field of view"
+            said = f"likely {cause}" if cause else unknown
+            log.warning("normals: %.0f %% face away from the camera; %s", 100 * share, said)
     if len(normals) > 1 and (normals == normals[0]).all():
         log.warning(
             "normals: all equal, (%.3g, %.3g, %.3g); on anything but a flat surface shape is taken "

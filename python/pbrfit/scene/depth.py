@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -67,16 +66,16 @@ def checked_depth(
     depth, notes = without_holes(array)
     if not normals_known:
         return depth, notes
-    found = compared(depth, normals, fov)
-    if found.inverse:
+    angle, of_inverse = compared(depth, normals, fov)
+    if of_inverse < INVERSE_RATIO_MAX * angle:
         raise InputError(
             "depth: expected distances, found inverse depth (normals of the map are "
-            f"{found.depth:.0f} degrees from the given ones in the median, those of its inverse "
-            f"{found.inverse_depth:.0f})"
+            f"{angle:.0f} degrees from the given ones in the median, those of its inverse "
+            f"{of_inverse:.0f})"
         )
-    if found.depth > DISAGREEMENT_MIN:
-        angle = f"{found.depth:.0f} degrees in the median"
-        said = f"its normals and the given ones contradict each other, by {angle}"
+    if angle > DISAGREEMENT_MIN:
+        by = f"by {angle:.0f} degrees in the median"
+        said = f"its normals and the given ones contradict each other, {by}"
         log.warning("depth: %s", said)
         notes.append(said)
     return depth, notes
@@ -115,49 +114,41 @@ def in_words(depth: Depth) -> str:
     return f"{said}; {unknown:.2g} % of the pixels unknown" if unknown else said
 
 
-@dataclass(frozen=True)
-class Agreement:
-    """Median angles in degrees between given normals and those of a map; NaN = not comparable."""
+def compared(depth: Depth, normals: NDArray[np.floating[Any]], fov: float) -> tuple[float, float]:
+    """Median angles in degrees between given normals (H, W, 3) and those of a depth map (H, W).
 
-    depth: float
-    """With the map taken as depth."""
-    inverse_depth: float
-    """With its inverse taken as depth."""
-
-    @property
-    def inverse(self) -> bool:
-        """Whether the map is inverse depth."""
-        return self.depth > AGREEMENT_MAX and self.inverse_depth < INVERSE_RATIO_MAX * self.depth
-
-
-def compared(depth: Depth, normals: NDArray[np.floating[Any]], fov: float) -> Agreement:
-    """Compare normals of a depth map (H, W) with given ones (H, W, 3), NaN where either is unknown.
-
-    Of larger maps `COMPARED_MAX` pixels are compared.
+    Taken as it is, and as inverse depth; NaN = not comparable, or not looked at, as the first is up
+    to `AGREEMENT_MAX`. Of larger maps `COMPARED_MAX` pixels are compared.
     """
     some = every_few(depth.shape, COMPARED_MAX)
     few, wanted = depth[some].astype(np.float64), normals[some]
     # A camera without perspective sees a width of 2 units (`geometry.positions`).
     width = 2.0 if fov == 0 else None
-
-    def angle(distances: NDArray[np.float64]) -> float:
-        found, known = from_depth(distances, fov=fov, view_width=width)
-        angles = angles_between(found, wanted)[known]
-        angles = angles[np.isfinite(angles)]
-        return float(np.median(angles)) if angles.size else math.nan
-
-    as_depth = angle(few)
+    as_depth = median_angle(few, wanted, fov, width)
     if not as_depth > AGREEMENT_MAX:
-        return Agreement(as_depth, math.nan)
+        return as_depth, math.nan
     inverse = 1.0 / few
     if width is not None:  # only here its unit matters, and nobody told it
         found, known = from_depth(inverse, fov=fov, view_width=width)
         known &= np.isfinite(wanted[..., 0])
         steepness = _slope(found[known])
         if not steepness > 0:  # most of it faces the camera: no unit explains the normals
-            return Agreement(as_depth, math.nan)
+            return as_depth, math.nan
         inverse *= _slope(wanted[known]) / steepness
-    return Agreement(as_depth, angle(inverse))
+    return as_depth, median_angle(inverse, wanted, fov, width)
+
+
+def median_angle(
+    depth: NDArray[np.float64],
+    normals: NDArray[np.floating[Any]],
+    fov: float,
+    view_width: float | None = None,
+) -> float:
+    """In degrees between normals of depth (H, W) and given ones (H, W, 3); NaN = none are known."""
+    found, known = from_depth(depth, fov=fov, view_width=view_width)
+    angles = angles_between(found, normals)[known]
+    angles = angles[np.isfinite(angles)]
+    return float(np.median(angles)) if angles.size else math.nan
 
 
 def every_few(shape: tuple[int, ...], at_most: int) -> tuple[slice, slice]:

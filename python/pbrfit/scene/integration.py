@@ -193,15 +193,12 @@ class _Edges:
         )
         return cls(first, second, differences, weights, certain, width / (2 * half_width), shape)
 
-    def residuals(self, unknown: Array) -> Array:
-        """(E,), radians for surfaces that face the camera."""
-        found: Array = unknown[self.second] - unknown[self.first] - self.differences
-        return self.pixels_per_unit * found
-
     def reweighted(self, unknown: Array, told: NDArray[np.bool_] | None = None) -> Array:
         """Weights by residuals; those between pixels that are not `told` stay as they are."""
-        # In standard deviations that are equal for all, as weights of slanted surfaces are small.
-        residual = np.sqrt(self.weights) * self.residuals(unknown)
+        # Radians for surfaces that face the camera, in standard deviations that are equal for all,
+        # as weights of slanted surfaces are small.
+        change = unknown[self.second] - unknown[self.first] - self.differences
+        residual = np.sqrt(self.weights) * (self.pixels_per_unit * change)
         told = np.ones(unknown.shape, bool) if told is None else told
         looked_at = told[self.first] & told[self.second]
         some = np.abs(residual[self.certain & looked_at])

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, Literal, Self, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io import images
@@ -158,23 +157,20 @@ class Settings(ReadOptions):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.world_to_camera is not None:
-            object.__setattr__(self, "world_to_camera", _rotation(self.world_to_camera))
+            rotation = real_array("world_to_camera", self.world_to_camera, (3, 3))
+            if (
+                not (np.abs(rotation) <= 1.01).all()  # beyond, squares may overflow
+                or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3)
+                or np.linalg.det(rotation) < 0
+            ):
+                found = quoted(self.world_to_camera)
+                raise InputError(f"world_to_camera: expected a 3 × 3 rotation, found {found}")
+            object.__setattr__(self, "world_to_camera", rotation)
 
     @property
     def convention(self) -> Convention:
         """How the folder's normals are written down."""
         return Convention(self.normals, self.normals_frame, self.world_to_camera)
-
-
-def _rotation(rows: Any) -> NDArray[np.float64]:
-    rotation = real_array("world_to_camera", rows, (3, 3))
-    if (
-        not (np.abs(rotation) <= 1.01).all()  # beyond, squares may overflow
-        or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3)
-        or np.linalg.det(rotation) < 0
-    ):
-        raise InputError(f"world_to_camera: expected a 3 × 3 rotation, found {quoted(rows)}")
-    return rotation
 
 
 @dataclass(frozen=True)

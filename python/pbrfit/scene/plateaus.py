@@ -78,23 +78,6 @@ def _is_cut(planes: list[NDArray[np.floating[Any]]], top: float, *, shared: bool
     count = sum(int(np.count_nonzero(plane == top)) for plane in planes)
     if count < _COUNT_MIN or not np.isfinite(top):
         return False
-    below = _next_values(planes, top)
-    if below is None:
-        return False
-    from scipy.special import bdtrc
-
-    values, counts = below
-    # Probability of `count` or more of all being in one of K + 1 equal cells.
-    if bdtrc(count - 1, count + int(counts.sum()), 1 / (NEXT_VALUES + 1)) >= CHANCE:
-        return False
-    gap = float(values[0] - values[-1]) / (len(values) - 1)
-    return shared or float(top - values[0]) <= -math.log(CHANCE) * gap
-
-
-def _next_values(
-    planes: list[NDArray[np.floating[Any]]], top: float
-) -> tuple[NDArray[np.float64], NDArray[np.intp]] | None:
-    """The next distinct values below `top`, falling, and how often each is met; None if too few."""
     rest = np.concatenate([plane[plane < top] for plane in planes]).astype(np.float64)
     keep = 4 * NEXT_VALUES
     while True:
@@ -105,5 +88,13 @@ def _next_values(
             break
         keep *= 8
     if len(values) < NEXT_VALUES:
-        return None
-    return values[: -NEXT_VALUES - 1 : -1], counts[: -NEXT_VALUES - 1 : -1]
+        return False
+    from scipy.special import bdtrc
+
+    # The next distinct values below the maximum, falling, and how often each is met.
+    values, counts = values[: -NEXT_VALUES - 1 : -1], counts[: -NEXT_VALUES - 1 : -1]
+    # Probability of `count` or more of all being in one of K + 1 equal cells.
+    if bdtrc(count - 1, count + int(counts.sum()), 1 / (NEXT_VALUES + 1)) >= CHANCE:
+        return False
+    gap = float(values[0] - values[-1]) / (len(values) - 1)
+    return shared or float(top - values[0]) <= -math.log(CHANCE) * gap

@@ -203,9 +203,8 @@ def load(
         to = f"{fitted[1]} × {fitted[0]} pixels"
         assumed["size"] = f"averaged down from {full_size[1]} × {full_size[0]} to {to}"
     mask &= _read_mask(notes)
-    dark = _read_frame(notes, notes.part(partial(find_frame, name=DARK_FRAME)))
-    if dark is not None:
-        mask &= dark.usable
+    dark = _read_dark(notes)
+    mask &= True if dark is None else dark.usable
     if not mask.any():
         raise InputError(f"{folder}: expected pixels both opaque and white in mask.png, found none")
     normals, sigma = None, None
@@ -329,7 +328,7 @@ def read_pictures(
     read = _read_pictures(notes)
     everywhere: NDArray[np.bool_] = np.ones(notes.size, bool)
     _tell_bad(read, everywhere, notes)
-    dark = _read_frame(notes, notes.part(partial(find_frame, name=DARK_FRAME)))
+    dark = _read_dark(notes)
     _calibrate(notes, read, everywhere if dark is None else dark.usable, dark)
     fov, _, said = notes.decided_fov(read.focal_length)
     return read, fov, said
@@ -384,16 +383,17 @@ class Pictures:
     def put(self, i: int, picture: images.Picture) -> None:
         """Put in what comes with the samples of a picture; others may be put in meanwhile."""
         notes, size = self._notes, self.size
-        is_float = picture.stored is None
-        if is_float and not np.isfinite(self.pixels[i]).all():
-            self.bad[i] = bad = ~np.isfinite(self.pixels[i])
-            self.pixels[i][bad] = 0
         stored = picture.stored
-        sharp = stored is not None and stored.tables is None and notes.how.code_range is None
-        self.searched[i] = sharp or (is_float and picture.limits is None)
-        if is_float and picture.limits is not None:
-            self.said = True
-        if stored is not None:
+        if stored is None:
+            bad = ~np.isfinite(self.pixels[i])
+            if bad.any():
+                self.bad[i] = bad
+                self.pixels[i][bad] = 0
+            self.searched[i] = picture.limits is None
+            if not self.searched[i]:
+                self.said = True
+        else:
+            self.searched[i] = stored.tables is None and notes.how.code_range is None
             # Of the whole picture, averaged as much: blocks of JPEG begin at its corner.
             height, width = (
                 max(1, round(of * to / used))
@@ -606,9 +606,12 @@ class _Frame:
     """(H, W): where it is not overexposed, and finite."""
 
 
-def _read_frame(notes: _Notes, path: Path | None) -> _Frame | None:
-    if path is None:
-        return None
+def _read_dark(notes: _Notes) -> _Frame | None:
+    path = notes.part(partial(find_frame, name=DARK_FRAME))
+    return None if path is None else _read_frame(notes, path)
+
+
+def _read_frame(notes: _Notes, path: Path) -> _Frame:
     picture = notes.how.picture(path)
     window = notes.window(path, picture.pixels.shape[:2])
     pixels = picture.pixels[window]
@@ -668,7 +671,6 @@ def _gain(
 ) -> NDArray[np.float32]:
     """(H, W, 3) of a flat-field frame over its mean in each channel, 0 where it tells nothing."""
     frame = _read_frame(notes, path)
-    assert frame is not None
     usable, level = frame.usable, frame.pixels
     if dark is not None:
         level, usable = level - dark.pixels, usable & dark.usable

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from command_runs import done, refused
 from pbrfit import Scene
 from pbrfit._core import InputError
-from pbrfit.acquire.depth import depth_anything, marigold
-from pbrfit.acquire.depth.marigold import aligned_mean
+from pbrfit.acquire import marigold
+from pbrfit.acquire.depth import depth_anything
 from pbrfit.acquire.depth.offset import with_offset
+from pbrfit.acquire.marigold import aligned_mean
 from pbrfit.io import images
 from pbrfit.model import geometry
 from pbrfit.scene.depth import compared
@@ -132,7 +133,7 @@ def test_depth_of_normals(folder: Path) -> None:
     said = done("depth", folder, "--from", "normals")
     assert "in a unit of its own: normals tell depth up to a factor" in said
     scene = Scene.load(folder)
-    assert compared(known(scene.depth), surface()[1], FOV).depth < 5
+    assert compared(known(scene.depth), surface()[1], FOV)[0] < 5
 
 
 def test_fusing_removes_noise(folder: Path, tmp_path: Path) -> None:
@@ -192,7 +193,7 @@ def test_relative_answers_are_moved_by_the_normals(
         shown.append((srgb8.shape, options["ensemble"]))
         return (depth - depth.min()) / np.ptp(depth), {"model": "tiny"}
 
-    monkeypatch.setattr(marigold, "from_picture", answer)
+    monkeypatch.setattr(marigold, "depth_of", answer)
     said = done("depth", folder, "--ensemble", 2)
     assert shown == [((SIZE, SIZE, 3), 2)]
     assert "up to factor and offset: offset by the normals" in said

@@ -108,7 +108,7 @@ def test_depth_is_made_beside_normals_and_agrees_with_them(
     record, found = reviewed(tmp_path / "scene")["depth"], Scene.load(tmp_path / "scene").depth
     assert (record and record["source"]) == source
     assert (found is None) == (source is None)
-    assert found is None or compared(found, directions, 50.0).depth < 5  # the noisy one's: 40
+    assert found is None or compared(found, directions, 50.0)[0] < 5  # the noisy one's: 40
 
 
 def test_pictures_are_in_the_scene_bit_by_bit_and_the_photo_where_it_is_wanted(

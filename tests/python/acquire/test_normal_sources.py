@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from command_runs import done, refused
 from pbrfit._core import InputError
+from pbrfit.acquire.marigold import mean_and_spread
 from pbrfit.acquire.normals import HALF_WEIGHT, estimate, weights_of
-from pbrfit.acquire.normals.marigold import mean_and_spread
 from pbrfit.acquire.photo import shown_to_network
 from pbrfit.io import images
 from pbrfit.io.normal_files import UNCERTAINTY, Convention, read_normals

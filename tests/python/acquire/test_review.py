@@ -172,32 +172,3 @@ def test_black_and_clipped_pixels_are_no_evidence() -> None:
         blank[60:160, 60:160] = level
         share = structure.kept(structure.gradients(blank), reference, (64, 64))
         assert np.isnan(share[27, 27]) or share[27, 27] > 0.8
-
-
-def mixtures(count: int = 8) -> Array:
-    """(N, P, 3): pictures of a 32 × 32 view that four lights of one colour each make up."""
-    rng = np.random.default_rng(2)
-    row, column = np.mgrid[:32, :32].reshape(2, -1) / 32
-    albedo = rng.uniform(0.1, 0.9, (row.size, 3))
-    lights = np.stack([np.ones(row.size), 0.2 + row, 0.2 + column, 1.2 - row * column])
-    shares = rng.uniform(0.05, 0.3, (count, 4, 3))
-    return np.asarray(albedo * np.einsum("nkc,kp->npc", shares, lights))
-
-
-def test_another_colour_is_mixed_and_a_shadow_is_not() -> None:
-    size = (32, 32)
-    used = np.ones((8, 32 * 32), bool)
-    patch = np.zeros(size, bool)
-    patch[8:17, 8:17] = True
-    most = {}
-    for name, gain in {"colour": (1.6, 1.0, 0.5), "shadow": (0.5, 0.5, 0.5)}.items():
-        found = mixtures()
-        found[3][patch.ravel()] *= gain
-        residual = illumination.unexplained(3, found, used)
-        residual = residual.reshape(*size, 3)
-        most[name] = illumination.mixed(residual).max()
-        bright = illumination.brightness(residual)
-        assert patch[np.unravel_index(bright.argmax(), size)] or name == "colour"
-        assert bright.max() > 0.01
-    assert most["colour"] > 0.05
-    assert most["shadow"] < 0.1 * most["colour"]

@@ -1,4 +1,4 @@
-"""Limits of samples: through a matrix, and averaged."""
+"""Limits of samples of other primaries, through the matrix."""
 
 from __future__ import annotations
 
@@ -7,14 +7,6 @@ import pytest
 
 from pbrfit.io import color
 from pbrfit.io.limits import AT_LEAST, AT_MOST, converted
-
-
-def test_codes_at_both_ends_of_the_range_are_data() -> None:
-    codes = np.array([[[3, 4, 5], [9, 10, 11]]], dtype=np.uint8)
-    place = color.Place.new((1, 2))
-    assert not color.Conversion("linear").average(codes, place, (3, 11))
-    assert color.Conversion("linear").average(codes, place, (4, 10))
-    assert place.limits.tolist() == [[[AT_MOST, 0, 0], [0, 0, AT_LEAST]]]
 
 
 # Display P3 to Rec.709: rows (1.22, −0.22, 0), (−0.04, 1.04, 0), (−0.02, −0.08, 1.10).

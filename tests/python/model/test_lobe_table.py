@@ -13,7 +13,6 @@ import pytest
 from numpy.typing import NDArray
 
 import principled_reference
-from finite_differences import ridders
 from pbrfit import _core
 from pbrfit.model.reflection import sh_basis
 from principled_reference import EVEN, ORDER
@@ -83,30 +82,6 @@ def test_values_and_slopes_are_those_of_the_integrals() -> None:
     assert by_cosine.max() <= 2e-3
 
 
-@pytest.mark.parametrize(
-    ("r", "cosine"), [(0.06, 0.11), (0.13, 0.58), (0.31, 0.08), (0.47, 0.93), (0.83, 0.29)]
-)
-def test_another_quadrature_gives_the_same(r: float, cosine: float) -> None:
-    # About the mirror direction instead of half vectors, and at places that nobody chose before.
-    expected = principled_reference.lobe_functions(r, cosine)
-    value, by_r, by_cosine = (np.delete(part, MEAN) for part in functions(r, cosine))
-    powers = np.delete(SINE_POWERS, MEAN)
-    sine = math.sqrt(1 - cosine**2) ** powers
-    np.testing.assert_allclose(value * sine, expected, rtol=0, atol=1e-5)
-    step = 1e-4
-
-    def slope(dr: float, dx: float) -> Array:
-        ends = [
-            principled_reference.lobe_functions(r + s * dr, cosine + s * dx)
-            / math.sqrt(1 - (cosine + s * dx) ** 2) ** powers
-            for s in (1, -1)
-        ]
-        return np.asarray((ends[0] - ends[1]) / (2 * step))
-
-    np.testing.assert_allclose(by_r, slope(step, 0), rtol=0, atol=5e-4)
-    np.testing.assert_allclose(by_cosine, slope(0, step), rtol=0, atol=2e-3)
-
-
 def test_mean_reflectance_is_the_mean_of_the_reflectance() -> None:
     nodes, weights = np.polynomial.legendre.leggauss(60)
     root = (1 + nodes) / 2  # n·v = root²
@@ -117,27 +92,6 @@ def test_mean_reflectance_is_the_mean_of_the_reflectance() -> None:
     assert (np.ptp(value[..., MEAN], axis=1) < 1e-14).all()
     assert (np.abs(by_cosine[..., MEAN]) < 1e-9).all()
     assert (by_r[1:, 0, MEAN] < 0).all()
-
-
-PLACES = (0.004, 0.02, 0.13, 0.37, 0.5, 0.71, 0.96)
-
-
-@pytest.mark.parametrize("r", [0.0, *PLACES, 1.0])
-@pytest.mark.parametrize("cosine", [LEAST_COSINE, *PLACES, 1.0])
-def test_derivatives_are_those_of_the_values(r: float, cosine: float) -> None:
-    value, by_r, by_cosine = functions(r, cosine)
-    assert np.isfinite(value).all()
-    for at, low, derivative, of in (
-        (r, 0.0, by_r, lambda d: functions(r + d, cosine)[0]),
-        (cosine, LEAST_COSINE, by_cosine, lambda d: functions(r, cosine + d)[0]),
-    ):
-        inward = -1 if at == 1 else 1
-        at_end = at in (low, 1.0)
-        step = 1e-3 * max(at, 0.01)
-        found, error = ridders(lambda d, of=of, s=inward: of(s * d), step, one_sided=at_end)  # type: ignore[misc]
-        np.testing.assert_allclose(
-            inward * found, derivative, rtol=1e-6, atol=1e-7 + 10 * float(error.max())
-        )
 
 
 def knots(first: int) -> Array:

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 import principled_reference
 from pbrfit import _core
-from pbrfit.model.reflection import sh_basis
-from principled_reference import EVEN, ORDER
+from principled_reference import EVEN
 from reference import frames, unit
 
 Array = NDArray[np.floating[Any]]
@@ -59,14 +58,6 @@ def seen_at(cosine: float | Array, seed: int = 0) -> tuple[Array, Array]:
     return normal, unit(cosine * normal + np.sqrt(1 - cosine**2) * aside)
 
 
-def lobes(r: Array, normal: Array, view: Array) -> tuple[Array, Array, Array, Array]:
-    """The table's a_j and b_j with their sinᵐ, (P, 10) each, Ebar and kappa, (P,) each."""
-    cosine = np.clip(np.sum(normal * view, axis=-1), 1e-4, 1)
-    value, _, _ = _core.lobe_functions(r.astype(np.float64), cosine.astype(np.float64))
-    sine = np.linalg.norm(np.cross(normal, view), axis=-1)[:, None] ** ORDER
-    return value[:, :10] * sine, value[:, 10:20] * sine, value[:, 20], value[:, 21]
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_weights_are_integrals_over_light_directions(seed: int) -> None:
     """Of the BRDF as it is written down, in world space, without the table or a local frame."""
@@ -80,34 +71,6 @@ def test_weights_are_integrals_over_light_directions(seed: int) -> None:
     for i in range(len(r)):
         expected = principled_reference.shade(normal[i], view[i], albedo[i], r[i], metallic[i])
         np.testing.assert_allclose(found[i], expected, rtol=0, atol=6e-6)
-
-
-def test_weights_are_lobes_rotated_to_the_world() -> None:
-    # The formulas on the table's own functions, so that narrow lobes are tested as sharply.
-    normal, view, albedo, r, metallic = random_pixels(200, 11)
-    r[:40] *= 0.05
-    view[40:60] = normal[40:60]
-    view[60:80] = unit(normal[60:80] + 1e-6 * view[60:80])
-    a, b, mean, kappa = lobes(r, normal, view)
-    e = CONSTANT_LIGHT * (a + b)[:, 0]
-    m, rho = metallic[:, None], albedo
-
-    def gain(f0: Array) -> Array:
-        return np.asarray(
-            principled_reference.multiple_scattering(f0, e[:, None], mean[:, None])  # type: ignore[arg-type]
-        )
-
-    ground = gain(np.full((1, 1), 0.04)) * kappa[:, None]
-    e_d = CONSTANT_LIGHT * ground * (0.04 * a + b)[:, :1]
-    dielectric, metal = (1 - m) * ground, m * gain(rho)
-    kd = (1 - m) * rho * (1 - e_d) / math.pi
-    by_row = (0.04 * dielectric + rho * metal)[..., None] * a[:, None]
-    by_row = by_row + (dielectric + metal)[..., None] * b[:, None]
-    found = shade(normal, view, albedo, r, metallic)
-    for i in range(len(r)):
-        rows = principled_reference.rotation_rows(normal[i], view[i])
-        diffuse = kd[i][:, None] * COSINE_TRANSFER[DEGREE] * sh_basis(normal[i])
-        np.testing.assert_allclose(found[i], diffuse + by_row[i] @ rows, rtol=0, atol=1e-12)
 
 
 FURNACE_R = np.concatenate((np.linspace(0, 0.05, 26), np.linspace(0.05, 1, 40)))

@@ -11,7 +11,6 @@ import pytest
 from numpy.typing import NDArray
 
 import pbrfit
-from finite_differences import ridders
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.settings import MEAN_RADIANCE
 from pbrfit.scene.exposure import EXPOSURE_RANGE, LEAST_EXPOSURE, mean_radiance, relative_exposures
@@ -93,24 +92,6 @@ def test_the_loss_is_that_of_inverse_square_weights() -> None:
     assert objective.residual_rmse(loss) == pytest.approx(np.sqrt(weighted), rel=1e-5)
     means = mean_radiance(scene) / (objective.scale * exposures)
     np.testing.assert_allclose(means, MEAN_RADIANCE, rtol=1e-6)
-
-
-@pytest.mark.parametrize("known", [False, True])
-def test_gradient(known: bool) -> None:
-    scene = brighter(made(), 1, 16.0)
-    if known:
-        scene = dataclasses.replace(scene, lighting=lights_of(scene))
-    objective = Objective(scene)
-    rng = np.random.default_rng(1)
-    x = objective.with_best_lights(rng.uniform(0.25, 0.75, objective.size))
-    _, gradient = objective.value_and_grad(x)
-    direction = np.abs(x) * np.where(gradient < 0, -1, 1) * rng.uniform(0.5, 1, x.size)
-
-    def along(step: float) -> float:
-        return objective.value_and_grad(x + step * direction)[0]
-
-    numeric, _ = ridders(along, 0.1)
-    assert gradient @ direction == pytest.approx(numeric, rel=1e-4)
 
 
 ONE_WAY: dict[str, Any] = {"priors": None, "robust": "none", "light": "sh"}

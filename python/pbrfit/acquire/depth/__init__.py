@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.acquire.depth import depth_anything, marigold
+from pbrfit.acquire import marigold
+from pbrfit.acquire.depth import depth_anything
 from pbrfit.acquire.depth.offset import with_offset
-from pbrfit.acquire.normals.maps import check_reducible
+from pbrfit.acquire.normals.files import check_reducible, check_source
 from pbrfit.io.depth_files import read_depth
 from pbrfit.model import geometry
 from pbrfit.model.depth_normals import DepthKind
@@ -21,8 +22,6 @@ from pbrfit.scene.integration import depth_from_normals
 from pbrfit.scene.reading import Surface
 
 NETWORKS = ("depth-anything", "marigold")
-
-SOURCES = "depth-anything, marigold, normals or FILE"
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,40 +67,29 @@ def estimate(
     fuse
         Make the depth agree with the normals (`pbrfit.scene.integration`).
     options
-        Of the network: those of `depth_anything.from_picture` or `marigold.from_picture`.
+        Of the network: those of `depth_anything.from_picture` or `marigold.depth_of`.
     """
-    size = srgb8.shape[0], srgb8.shape[1]
-    remarks: list[str] = []
-    record: dict[str, Any] = {"source": source if source in (*NETWORKS, "normals") else "file"}
     if source == "normals":
         found = depth_from_normals(
             _normals(surface, "normals"), surface.fov, surface.mask, surface.segments
         )
-        remarks.append("in a unit of its own: normals tell depth up to a factor")
-        return Depth(found, tuple(remarks), record)
+        said = "in a unit of its own: normals tell depth up to a factor"
+        return Depth(found, (said,), {"source": source})
     if source == "marigold":
-        relative, more = marigold.from_picture(srgb8, **options)
-        found, said = with_offset(relative, _normals(surface, source), surface.fov)
-        remarks.append(said)
-        record |= more
+        relative, more = marigold.depth_of(srgb8, **options)
+        found, *remarks = with_offset(relative, _normals(surface, source), surface.fov)
     elif source == "depth-anything":
         answer, metric, more = depth_anything.from_picture(srgb8, **options)
-        record |= more
         if metric:
-            found = without_holes(answer)[0]
-            remarks.append("in metres, as the network has it")
+            found, remarks = without_holes(answer)[0], ["in metres, as the network has it"]
         else:
-            found, said = with_offset(
-                answer, _normals(surface, source), surface.fov, disparity=True
-            )
-            remarks.append(said)
+            normals = _normals(surface, source)
+            found, *remarks = with_offset(answer, normals, surface.fov, disparity=True)
     else:
-        path = Path(source)
-        if not path.exists() and path.name == source and not path.suffix:
-            raise InputError(f"depth: expected {SOURCES}, found {source!r}")
-        found, of_file = _of_file(path, size, surface.fov, depth_kind, unit)
-        remarks += of_file
-        record |= {"file": path.name, "kind": depth_kind}
+        check_source("depth", source, "depth-anything, marigold, normals or FILE")
+        path, size = Path(source), (srgb8.shape[0], srgb8.shape[1])
+        found, remarks = _of_file(path, size, surface.fov, depth_kind, unit)
+        more = {"source": "file", "file": path.name, "kind": depth_kind}
     if surface.normals is not None:  # fused with them any map would agree
         checked_depth(found, surface.normals, surface.fov)
     if fuse:
@@ -111,10 +99,10 @@ def estimate(
         )
         remarks.append("fused with the normals")
     if surface.normals is not None:
-        angle = compared(found, surface.normals, surface.fov).depth
+        angle = compared(found, surface.normals, surface.fov)[0]
         if np.isfinite(angle):
             remarks.append(f"its normals {angle:.1f} degrees (median) from the scene's")
-    return Depth(found, tuple(remarks), record)
+    return Depth(found, tuple(remarks), {"source": source, **more})
 
 
 def _normals(surface: Surface, what: str) -> NDArray[np.float64]:
@@ -130,8 +118,7 @@ def _of_file(
 ) -> tuple[NDArray[np.float32], list[str]]:
     """Distances along the axis, at the size (height, width) of the pictures; and remarks."""
     stored, how = read_depth(path, unit)
-    if stored.shape != size:
-        check_reducible(path, stored.shape, size)
+    check_reducible(path, stored.shape, size)
     try:
         kept, said = without_holes(stored, inverse=kind == "disparity")
     except InputError as error:

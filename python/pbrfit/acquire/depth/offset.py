@@ -15,9 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.model.depth_normals import from_depth
-from pbrfit.model.geometry import angles_between
-from pbrfit.scene.depth import COMPARED_MAX, every_few
+from pbrfit.scene.depth import COMPARED_MAX, every_few, median_angle
 
 RATIOS = (0.01, 100.0)
 """Least and largest ratio of the smallest value, with its offset, to the range of the values."""
@@ -59,10 +57,7 @@ def with_offset(
         return np.asarray(1.0 / moved if disparity else moved)
 
     def angle(log_ratio: float) -> float:
-        found, known = from_depth(distances(few, log_ratio), fov=fov)
-        angles = angles_between(found, wanted)[known]
-        angles = angles[np.isfinite(angles)]
-        return float(np.median(angles)) if angles.size else np.nan
+        return median_angle(distances(few, log_ratio), wanted, fov)
 
     first, last = np.log(RATIOS).tolist()
     ratios = np.linspace(first, last, STEPS)

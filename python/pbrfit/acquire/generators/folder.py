@@ -67,10 +67,10 @@ class Folder:
         In their place stands the content, so that a file which was changed is another request.
         """
         del catalogue
-        requests = []
-        for i, (name, path) in enumerate(list(self._files.items())[:count]):
-            requests.append(Request(name, f"{path.name}, sha256 {digest(path)}", "", seed + i))
-        return requests
+        return [
+            Request(name, f"{path.name}, sha256 {digest(path)}", "", seed + i)
+            for i, (name, path) in enumerate(list(self._files.items())[:count])
+        ]
 
     def generate(self, photo: Photo, request: Request) -> Generated:
         """Read one.

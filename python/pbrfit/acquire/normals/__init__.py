@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.acquire.normals import depth, maps, marigold
+from pbrfit.acquire import marigold
+from pbrfit.acquire.normals import files
 from pbrfit.io.normal_files import Convention
 from pbrfit.model.depth_normals import FACING
-
-SOURCES = "marigold, flat, depth:FILE or FILE"
 
 DEPTH = "depth:"
 
@@ -68,17 +67,16 @@ def estimate(
     mask
         (H, W), the pixels that matter; None = all. For messages alone.
     options
-        Of the source: those of `marigold.from_picture`; ``depth_kind`` and ``view_width`` of a
+        Of the source: those of `marigold.normals_of`; ``depth_kind`` and ``view_width`` of a
         depth map, see `pbrfit.model.depth_normals`; ``convention``, a
         `pbrfit.io.normal_files.Convention`, of a file.
     """
-    height, width = srgb8.shape[:2]
-    size = (height, width)
+    size = srgb8.shape[0], srgb8.shape[1]
     kind = kind_of(source)
     if kind == "flat":
         return Normals(np.broadcast_to(FACING, (*size, 3)).copy(), record={"source": kind})
     if kind == "marigold":
-        normals, uncertainty, record = marigold.from_picture(srgb8, **options)
+        normals, uncertainty, record = marigold.normals_of(srgb8, **options)
         return Normals(normals, uncertainty, {"source": kind, **record})
     path = Path(source.removeprefix(DEPTH))
     record = {"source": kind, "file": path.name}
@@ -87,13 +85,12 @@ def estimate(
         given = {"kind": options.get("depth_kind", "z")}
         if "view_width" in options:
             given["view_width"] = options["view_width"]
-        normals, known = depth.from_file(path, size, fov=fov, **given)
+        normals, known = files.of_depth(path, size, fov=fov, **given)
         record |= {"fov": fov, **given}
-    elif not path.exists() and path.name == source and not path.suffix:
-        raise InputError(f"normals: expected {SOURCES}, found {source!r}")
     else:
+        files.check_source("normals", source, "marigold, flat, depth:FILE or FILE")
         convention = options.get("convention", Convention())
-        normals, known, remarks = maps.from_file(path, size, convention)
+        normals, known, remarks = files.from_normals(path, size, convention)
         record["convention"] = str(convention)
     if not (known if mask is None else known & mask).any():  # the fit would have no pixel
         raise InputError(f"{path}: expected normals of some pixel of the mask, found none")

@@ -34,6 +34,7 @@ from pbrfit.acquire.review import illumination, structure
 from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.registration import alignment
 from pbrfit.registration.alignment import Alignment
+from pbrfit.threads import one_blas_thread
 
 USABLE_SHARE_MIN = 0.2
 """Share of pixels that are neither clipped nor black, below which a picture is refused."""
@@ -155,6 +156,7 @@ class Reviewer:
         aligned = _aligned(found, "the photograph", EDGE_CORRELATION_MIN, alignment.MOST_MOVED)
         return Verdict((exposure, self._copy(picture), *aligned))
 
+    @one_blas_thread()  # small systems: more threads only wait for each other
     def together(self, pictures: Sequence[NDArray[Any]]) -> list[Verdict]:
         """Judge pictures by each other and the photograph: those that were accepted alone.
 
@@ -163,12 +165,6 @@ class Reviewer:
         taken out is judged once more, beside the good ones. With fewer than 4 pictures, the
         photograph included, none is judged. Pictures are (H, W, 3), linear Rec.709, white = 1.
         """
-        from pbrfit.threads import one_blas_thread
-
-        with one_blas_thread():  # small systems: more threads only wait for each other
-            return self._together(pictures)
-
-    def _together(self, pictures: Sequence[NDArray[Any]]) -> list[Verdict]:
         verdicts = [Verdict(())] * len(pictures)
         left = list(range(len(pictures)))
         out: list[int] = []
@@ -219,23 +215,18 @@ class Reviewer:
         brightness = [illumination.brightness(residual) for residual in residuals]
         usual = max(float(np.median([found.max() for found in brightness])), BRIGHTNESS_MIN)
         verdicts = []
-        for member, common, residual, bright in zip(
-            members[first:],
-            others[first:],
-            residuals[first - 1 :],
-            brightness[first - 1 :],
-            strict=True,
-        ):
-            found = alignment.compare(common, member.edges, pixel=self._pixel)
+        for i in range(first, len(members)):
+            found = alignment.compare(others[i], members[i].edges, pixel=self._pixel)
             aligned = _aligned(
                 found,
                 "what the others share",
                 EDGE_CORRELATION_TOGETHER_MIN,
                 DISPLACED_SHARE_TOGETHER_MAX,
             )
-            kept = structure.kept(member.gradients, lasting, self._low)
-            content = self._content(kept, bright, usual, len(members))
-            verdicts.append(Verdict((*aligned, self._colour(residual, len(members)), content)))
+            kept = structure.kept(members[i].gradients, lasting, self._low)
+            content = self._content(kept, brightness[i - 1], usual, len(members))
+            colour = self._colour(residuals[i - 1], len(members))
+            verdicts.append(Verdict((*aligned, colour, content)))
         return verdicts
 
     def _reduced(self, pixels: NDArray[Any]) -> NDArray[np.float32]:
@@ -247,11 +238,9 @@ class Reviewer:
             return np.asarray(pixels, np.float32)
         return averaged_channels(pixels, self._size).astype(np.float32)
 
-    def _inside(self, plane: NDArray[Any]) -> NDArray[Any]:
-        return plane.ravel() if self._mask is None else plane[self._mask]
-
     def _exposure(self, picture: NDArray[np.float32]) -> Check:
-        bright = self._inside(picture.max(axis=-1))
+        bright = picture.max(axis=-1)
+        bright = bright if self._mask is None else bright[self._mask]
         share = float(((bright > BLACK) & (bright < CLIPPED)).mean())
         black = float((bright <= BLACK).mean())
         what = "black" if black > 0.5 * (1 - share) else "clipped"

@@ -68,16 +68,12 @@ def gradients(image: NDArray[Any], mask: NDArray[np.bool_] | None = None) -> Gra
     return Gradients((g / (smooth + _FLOOR)).astype(np.complex64), factor, sound)
 
 
-@dataclass(frozen=True, eq=False)
-class Lasting:
-    """Gradients that pictures have in common, (H, W, 3) complex64, and their weight w."""
-
-    values: NDArray[np.complex64]
-    weight: NDArray[np.float32]
+Lasting = tuple[NDArray[np.complex64], NDArray[np.float32]]
+"""Gradients that pictures have in common, (H, W, 3), and their weight w."""
 
 
 def lasting(pictures: Sequence[Gradients]) -> Lasting:
-    """Find what pictures have in common: medians, component by component.
+    """What pictures have in common: medians, component by component.
 
     Row by row, so that the memory does not grow with the number of pictures more than it must.
     """
@@ -90,7 +86,7 @@ def lasting(pictures: Sequence[Gradients]) -> Lasting:
         spread = np.median(np.abs(g - middle), axis=0)
         values[row] = middle
         weight[row] = 1 / (_NOISE**2 + spread**2)
-    return Lasting(values, weight)
+    return values, weight
 
 
 def kept(picture: Gradients, reference: Lasting, size: tuple[int, int]) -> NDArray[np.float64]:
@@ -104,8 +100,9 @@ def kept(picture: Gradients, reference: Lasting, size: tuple[int, int]) -> NDArr
     """
     from scipy.ndimage import gaussian_filter
 
-    expected = picture.factor * reference.values
-    weight = picture.sound * reference.weight
+    values, trust = reference
+    expected = picture.factor * values
+    weight = picture.sound * trust
     along = (weight * (picture.values * expected.conj()).real).sum(axis=-1)
     there = (weight * np.abs(expected) ** 2).sum(axis=-1)
     pixel = along.shape[0] / size[0]

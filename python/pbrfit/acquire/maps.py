@@ -14,14 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.acquire.maps import marigold
-from pbrfit.acquire.normals.maps import check_reducible
+from pbrfit.acquire.marigold import ENSEMBLE, MATERIALS_MODEL, MarigoldIID
+from pbrfit.acquire.normals.files import check_reducible
 from pbrfit.io.images import read_data, read_picture
 from pbrfit.io.quoting import listed
 from pbrfit.model.materials import Materials
 from pbrfit.scene.estimates import of_maps, read, reduced
-
-ENSEMBLE = 5
 
 NAMES = {
     "albedo": r"albedo|base_?color|diffuse",
@@ -34,7 +32,7 @@ NAMES = {
 def by_marigold(
     srgb8: NDArray[np.uint8],
     *,
-    model: str = marigold.MODEL,
+    model: str = MATERIALS_MODEL,
     ensemble: int = ENSEMBLE,
     steps: int | None = None,
     seed: int = 0,
@@ -46,7 +44,7 @@ def by_marigold(
     are combined; `steps` are the sampler's, `seed` is that of its noise. Raises InputError if
     packages or weights are missing, or memory runs out.
     """
-    network = marigold.Marigold(model, device=device)
+    network = MarigoldIID(model, device=device)
     found = network.maps(srgb8, seed=seed, samples=ensemble, steps=steps)
     clipped = {name: np.clip(plane, 0, 1) for name, plane in vars(found).items()}
     return of_maps(clipped, srgb8.shape[:2])
@@ -63,11 +61,8 @@ def of_files(paths: Sequence[Path], size: tuple[int, int]) -> Materials:
     """
     if len(paths) == 1 and paths[0].suffix.lower() == ".exr" and not _kinds(paths[0]):
         found = read(paths[0])
-        shape = found.roughness.shape
-        if shape == size:
-            return found
-        check_reducible(paths[0], shape, size)
-        return reduced(found, size)
+        check_reducible(paths[0], found.roughness.shape, size)
+        return found if found.roughness.shape == size else reduced(found, size)
     maps: dict[str, NDArray[Any]] = {}
     for path in paths:
         kinds = _kinds(path)
@@ -79,8 +74,8 @@ def of_files(paths: Sequence[Path], size: tuple[int, int]) -> Materials:
             plane: NDArray[Any] = np.clip(read_picture(path).pixels, 0, 1)
         else:
             plane = read_data(path)[..., 0]
+        check_reducible(path, plane.shape, size)
         if plane.shape[:2] != size:
-            check_reducible(path, plane.shape, size)
             whole = of_maps({kinds[0]: plane}, plane.shape[:2])
             plane = getattr(reduced(whole, size), kinds[0])
         maps[kinds[0]] = plane
