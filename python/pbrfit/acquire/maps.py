@@ -18,8 +18,8 @@ from pbrfit.acquire.marigold import ENSEMBLE, MATERIALS_MODEL, MarigoldIID
 from pbrfit.acquire.normals.files import check_reducible
 from pbrfit.io.images import read_data, read_picture
 from pbrfit.io.quoting import listed
+from pbrfit.model.estimates import of_maps, read, reduced
 from pbrfit.model.materials import Materials
-from pbrfit.scene.estimates import of_maps, read, reduced
 
 NAMES = {
     "albedo": r"albedo|base_?color|diffuse",

@@ -13,8 +13,8 @@ from pbrfit.acquire.marigold import ENSEMBLE, MATERIALS_MODEL
 from pbrfit.acquire.photo import shown_to_network
 from pbrfit.commands import arguments as cli
 from pbrfit.commands import network_options as network
+from pbrfit.model.estimates import ESTIMATES_FILE, known_maps
 from pbrfit.scene import completion
-from pbrfit.scene.estimates import ESTIMATES_FILE, known_maps
 
 MARIGOLD: network.Flags = {
     **network.SHOWN,

@@ -34,11 +34,11 @@ from numpy.typing import NDArray
 
 from pbrfit.fit.objective import Objective
 from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
+from pbrfit.model.estimates import reduced
 from pbrfit.model.materials import Materials
 from pbrfit.result.options import FitOptions
 from pbrfit.result.uncertainty import TWO_SIDED, Uncertainty
 from pbrfit.result.verdict import by_deviations
-from pbrfit.scene.estimates import reduced
 from pbrfit.scene.scene import Scene
 
 log = logging.getLogger("pbrfit")

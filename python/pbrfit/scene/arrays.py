@@ -17,11 +17,11 @@ from pbrfit.io.color import Conversion, Curve, decode_srgb, encode_srgb
 from pbrfit.io.limits import AT_LEAST, AT_MOST
 from pbrfit.io.normal_files import MIN_NORMAL_LENGTH
 from pbrfit.lazy import lazy
+from pbrfit.model import estimates as of_tools
 from pbrfit.model import geometry
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model, checked_model
-from pbrfit.scene import estimates as of_tools
 from pbrfit.scene.correction import Correction
 from pbrfit.scene.depth import checked_depth
 from pbrfit.scene.options import Source

@@ -18,10 +18,10 @@ from pbrfit.io.lamp_files import LAMP_FILES, find_lamps, write_lamps
 from pbrfit.io.normal_files import NORMAL_FILES, find_normals, write_normals
 from pbrfit.io.output import check_free_file, new_file
 from pbrfit.io.weight_files import WEIGHT_FILE, write_weights
+from pbrfit.model.estimates import ESTIMATES_FILE, write
 from pbrfit.model.lamps import Lamps, rows_of_lamps
 from pbrfit.model.materials import Materials
 from pbrfit.scene import folder as scene_folder
-from pbrfit.scene.estimates import ESTIMATES_FILE, write
 from pbrfit.scene.folder import HEIGHT_FILE
 from pbrfit.scene.writing import write_height
 
@@ -149,10 +149,7 @@ def check_no_lamps(folder: Path, *, overwrite: bool) -> None:
 
 
 def add_estimates(folder: Path, estimates: Materials, *, overwrite: bool = False) -> Path:
-    """Write `estimates.exr`; returns its path.
-
-    Raises FileExistsError if there are some and `overwrite` is False; InputError if sizes differ.
-    """
+    """Write `estimates.exr`; returns its path; errors are as of `add_segments`."""
     check_none(folder, [ESTIMATES_FILE], "estimates", overwrite=overwrite)
     any_array("estimates", estimates.roughness, picture_size(folder))
     path = folder / ESTIMATES_FILE

@@ -22,7 +22,7 @@ from pbrfit.io.output import FolderForm
 from pbrfit.io.quoting import listed, shown
 from pbrfit.io.raw_files import RAW_SUFFIXES
 from pbrfit.io.weight_files import WEIGHT_FILE
-from pbrfit.scene.estimates import ESTIMATES_FILE
+from pbrfit.model.estimates import ESTIMATES_FILE
 from pbrfit.scene.options import Settings
 
 log = logging.getLogger("pbrfit")

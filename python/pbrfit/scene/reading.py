@@ -29,11 +29,11 @@ from pbrfit.io.quoting import listed, quoted, shown
 from pbrfit.io.raw_files import RAW_SUFFIXES
 from pbrfit.io.resampling import at_centres, averaged, averaged_channels, reduced_size
 from pbrfit.io.weight_files import WEIGHT_FILE, read_weights, reduced
+from pbrfit.model import estimates as of_tools
 from pbrfit.model import geometry
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import Materials, read_materials
 from pbrfit.scene import depth as scene_depth
-from pbrfit.scene import estimates as of_tools
 from pbrfit.scene import known_lamps
 from pbrfit.scene.arrays import (
     FIRST_FOV,
@@ -792,8 +792,7 @@ def _read_estimates(notes: _Notes) -> Materials | None:
     path = notes.files.folder / of_tools.ESTIMATES_FILE
     found = of_tools.read(path)
     rows, columns = notes.window(path, found.roughness.shape)
-    known = listed(of_tools.known_maps(found))
-    notes.assumed["estimates"] = f"{known} from {path.name}: evidence beside the pictures"
+    notes.assumed["estimates"] = f"{listed(of_tools.known_maps(found))} from {path.name}"
     return Materials(*(plane[rows, columns] for plane in vars(found).values()))
 
 

@@ -14,10 +14,10 @@ from pbrfit.io.lamp_files import LAMP_FILES, write_lamps
 from pbrfit.io.normal_files import write_normals
 from pbrfit.io.output import new_folder
 from pbrfit.io.weight_files import WEIGHT_FILE, write_weights
+from pbrfit.model import estimates
 from pbrfit.model.lamps import rows_of_lamps
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import nearest_inside, write_materials
-from pbrfit.scene import estimates
 from pbrfit.scene.arrays import SceneArrays, Truth, consecutive_labels
 from pbrfit.scene.folder import MAX_ID, SCENE_FOLDER, SEGMENT_FILE
 

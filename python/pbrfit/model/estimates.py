@@ -1,7 +1,6 @@
 """Maps of materials that a network, or any other tool, estimated: `estimates.exr`.
 
-The file has the channels of `materials.exr`: albedo.R, G and B, linear Rec.709, roughness.Y and
-metallic.Y, all in [0, 1]. Any of the three maps may be missing; NaN is unknown.
+The file has `CHANNELS`, or some of them, linear, in [0, 1]; NaN is unknown.
 """
 
 from __future__ import annotations
@@ -22,8 +21,7 @@ from pbrfit.model.materials import Materials
 
 ESTIMATES_FILE = "estimates.exr"
 
-CHANNELS = {"albedo": "RGB", "roughness": "Y", "metallic": "Y"}
-"""Of each map."""
+CHANNELS = ("albedo.R", "albedo.G", "albedo.B", "roughness.Y", "metallic.Y")
 
 
 def of_maps(maps: Mapping[str, NDArray[Any]], size: tuple[int, int]) -> Materials:
@@ -32,8 +30,7 @@ def of_maps(maps: Mapping[str, NDArray[Any]], size: tuple[int, int]) -> Material
     Raises InputError if a map has another shape, no known value, or one outside of [0, 1].
     """
     planes = {}
-    for name, channels in CHANNELS.items():
-        shape = (*size, 3) if len(channels) == 3 else size
+    for name, shape in (("albedo", (*size, 3)), ("roughness", size), ("metallic", size)):
         plane = real_array(f"estimates: {name}", maps.get(name, np.full(shape, np.nan)), shape)
         if np.nanmin(plane, initial=0) < 0 or np.nanmax(plane, initial=0) > 1:
             found = f"{np.nanmin(plane):.3g} to {np.nanmax(plane):.3g}"
@@ -46,41 +43,37 @@ def of_maps(maps: Mapping[str, NDArray[Any]], size: tuple[int, int]) -> Material
 
 def known_maps(estimates: Materials) -> dict[str, NDArray[Any]]:
     """Maps that have known values, by name."""
-    maps = {name: getattr(estimates, name) for name in CHANNELS}
-    return {name: plane for name, plane in maps.items() if np.isfinite(plane).any()}
+    return {name: plane for name, plane in vars(estimates).items() if np.isfinite(plane).any()}
 
 
 def reduced(estimates: Materials, size: tuple[int, int]) -> Materials:
     """Averaged down to (height, width), unknown where a part of a new pixel is."""
-    planes = [np.atleast_3d(getattr(estimates, name)) for name in CHANNELS]
-    smaller = [averaged_channels(plane, size).astype(np.float32) for plane in planes]
-    return Materials(smaller[0], smaller[1][..., 0], smaller[2][..., 0])
+    return _of_planes(averaged_channels(_planes(estimates), size).astype(np.float32))
 
 
 def write(path: Path, estimates: Materials) -> None:
-    """Write the known maps."""
-    maps = known_maps(estimates)
-    channels = {
-        f"{name}.{channel}": np.atleast_3d(plane)[..., i]
-        for name, plane in maps.items()
-        for i, channel in enumerate(CHANNELS[name])
-    }
-    images.write_exr(path, channels)
+    """Write the channels that have known values."""
+    channels = zip(CHANNELS, np.moveaxis(_planes(estimates), -1, 0), strict=True)
+    images.write_exr(path, {name: of for name, of in channels if np.isfinite(of).any()})
 
 
 def read(path: Path) -> Materials:
     """Read `estimates.exr`, or any EXR file with such channels, as `of_maps`."""
     stored = images.read_channels(path)
-    maps = {
-        name: np.stack([stored[f"{name}.{channel}"] for channel in channels], axis=-1)
-        for name, channels in CHANNELS.items()
-        if f"{name}.{channels[0]}" in stored
-    }
-    if not maps:
-        expected = "expected channels albedo.R, albedo.G, albedo.B, roughness.Y or metallic.Y"
-        raise InputError(f"{path}: {expected}, found {listed(stored)}")
-    maps = {name: plane if name == "albedo" else plane[..., 0] for name, plane in maps.items()}
+    known = [stored[name] for name in CHANNELS if name in stored]
+    if not known:
+        raise InputError(f"{path}: expected some of {listed(CHANNELS)}, found {listed(stored)}")
+    unknown = np.full_like(known[0], np.nan)
+    planes = _of_planes(np.stack([stored.get(name, unknown) for name in CHANNELS], axis=-1))
     try:
-        return of_maps(maps, next(iter(maps.values())).shape[:2])
+        return of_maps(vars(planes), unknown.shape)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+
+
+def _planes(of: Materials) -> NDArray[Any]:
+    return np.dstack([of.albedo, of.roughness, of.metallic])
+
+
+def _of_planes(planes: NDArray[Any]) -> Materials:
+    return Materials(planes[..., :3], planes[..., 3], planes[..., 4])
