@@ -54,16 +54,14 @@ def constant(value: float, size: int = 4) -> Materials:
 
 
 def uncertain(relative: float, brightness: float, albedo: float, size: int = 4) -> Uncertainty:
-    total = np.hypot(relative, brightness) * (albedo + DARKEST)
-    maps = constant(total, size)
+    maps = constant(np.hypot(relative, brightness) * (albedo + DARKEST), size)
     return Uncertainty(maps, maps, maps, None, 1.0, (brightness,) * 3, {})
 
 
 def test_evidence_of_nodes() -> None:
     scene = with_maps(room())
     objective = Objective(scene)
-    pixels = np.array([0, 7], np.uint64)
-    nodes = np.array([[0.2, 0.0], [0.9, 1.0]])
+    pixels, nodes = np.array([0, 7], np.uint64), np.array([[0.2, 0.0], [0.9, 1.0]])
     maps = known(scene.estimates)
     for row, place in zip(evidence(objective, pixels, nodes), scene.places[[0, 7]], strict=True):
         told = np.array([maps.roughness.ravel()[place], maps.metallic.ravel()[place]])
@@ -143,6 +141,8 @@ def test_maps_of_another_view_are_not_used(caplog: pytest.LogCaptureFixture) -> 
     assert scene.estimates is not None
     assert options.uncertainty
     assert options.priors.material == 1
+    alone = replace(known(scene.estimates), albedo=np.full((40, 40, 3), np.nan))
+    assert "no albedo among them" in mismatch(replace(scene, estimates=alone))
 
 
 @pytest.mark.parametrize("seed", [3, 4, 5, 6])
@@ -160,13 +160,6 @@ def test_maps_of_other_views_do_not_fit(seed: int) -> None:
         assert "of another view" in mismatch(replace(scene, estimates=other))
 
 
-def test_finishes_alone_cannot_be_held_against_pictures() -> None:
-    scene = with_maps(room())
-    maps = known(scene.estimates)
-    alone = replace(maps, albedo=np.full_like(maps.albedo, np.nan))
-    assert "no albedo among them" in mismatch(replace(scene, estimates=alone))
-
-
 def test_a_scene_keeps_its_estimates(tmp_path: Path) -> None:
     scene = with_maps(room())
     scene.save(tmp_path / "scene")
@@ -175,8 +168,7 @@ def test_a_scene_keeps_its_estimates(tmp_path: Path) -> None:
     assert "albedo, metallic, roughness from estimates.exr" in read.assumed["estimates"]
     for name, plane in vars(known(scene.estimates)).items():
         np.testing.assert_array_equal(getattr(known(read.estimates), name), plane)
-    small = Scene.load(tmp_path / "scene", max_size=20)
-    assert known(small.estimates).albedo.shape == (20, 20, 3)
+    assert known(Scene.load(tmp_path / "scene", max_size=20).estimates).albedo.shape[0] == 20
     cropped = Scene.load(tmp_path / "scene", crop=(8, 4, 16, 12))
     np.testing.assert_array_equal(
         known(cropped.estimates).roughness, known(scene.estimates).roughness[4:16, 8:24]
