@@ -60,10 +60,11 @@ def uncertain(relative: float, brightness: float, albedo: float, size: int = 4) 
 
 def test_evidence_of_nodes() -> None:
     scene = with_maps(room())
-    objective = Objective(scene)
     pixels, nodes = np.array([0, 7], np.uint64), np.array([[0.2, 0.0], [0.9, 1.0]])
     maps = known(scene.estimates)
-    for row, place in zip(evidence(objective, pixels, nodes), scene.places[[0, 7]], strict=True):
+    for row, place in zip(
+        evidence(Objective(scene), pixels, nodes), scene.places[[0, 7]], strict=True
+    ):
         told = np.array([maps.roughness.ravel()[place], maps.metallic.ravel()[place]])
         wanted = np.exp(-(((told - nodes) / FINISH_SIGMA) ** 2).sum(axis=1) / 2)
         np.testing.assert_allclose(row, wanted, rtol=1e-4)
@@ -109,7 +110,7 @@ def test_differences_larger_than_both_errors_widen_the_deviation() -> None:
 def test_grey_pictures_take_no_colour_from_a_network() -> None:
     coloured = constant(0.4)
     coloured.albedo[:2] = 0.1, 0.3, 0.8
-    found, _ = fused(constant(0.4), uncertain(0.3, 0.2, 0.4), coloured, grey=True)
+    found = fused(constant(0.4), uncertain(0.3, 0.2, 0.4), coloured, grey=True)[0]
     np.testing.assert_array_equal(found.albedo[..., 0], found.albedo[..., 2])
 
 
