@@ -62,9 +62,8 @@ def test_evidence_of_nodes() -> None:
     scene = with_maps(room())
     pixels, nodes = np.array([0, 7], np.uint64), np.array([[0.2, 0.0], [0.9, 1.0]])
     maps = known(scene.estimates)
-    for row, place in zip(
-        evidence(Objective(scene), pixels, nodes), scene.places[[0, 7]], strict=True
-    ):
+    found = evidence(Objective(scene), pixels, nodes)
+    for row, place in zip(found, scene.places[pixels], strict=True):
         told = np.array([maps.roughness.ravel()[place], maps.metallic.ravel()[place]])
         wanted = np.exp(-(((told - nodes) / FINISH_SIGMA) ** 2).sum(axis=1) / 2)
         np.testing.assert_allclose(row, wanted, rtol=1e-4)
@@ -208,7 +207,6 @@ def test_maps_by_their_names(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     np.testing.assert_allclose(found.roughness, 0.2, atol=1e-6)
     np.testing.assert_allclose(found.albedo, 0.0331, atol=1e-4)
     assert np.isnan(found.metallic).all()
-
     true = tmp_path / "scene" / "truth" / "materials.exr"  # a result's would do, too
     assert main([*command, str(true), "--quiet", "--overwrite"]) == 0
     np.testing.assert_allclose(
