@@ -31,6 +31,8 @@ PRIOR: Mapping[str, Any] = {"priors": Priors(material=1.0)}
 
 TOGETHER: Mapping[str, Any] = {**BARE, **ALIGN, **ROBUST, **EXPOSURE, **PRIOR}
 
+REFINED: Mapping[str, Any] = {**TOGETHER, "refine_normals": "auto"}
+
 NORMALS_OFF = 8.0
 """Degrees, θ of `normals.disturbances`: estimated normals are off by 10 degrees in the mean."""
 
@@ -67,14 +69,11 @@ WAYS: Mapping[str, Handled] = {
         "all together, maps of another room", TOGETHER, review=True, maps="another"
     ),
     "estimated": Handled(
-        "all together, estimated normals and depth",
-        {**TOGETHER, "refine_normals": "auto"},
-        review=True,
-        normals="estimated",
+        "all together, estimated normals and depth", REFINED, review=True, normals="estimated"
     ),
     "estimated-maps": Handled(
         "all together, estimated normals and depth, a network's maps",
-        {**TOGETHER, "refine_normals": "auto"},
+        REFINED,
         review=True,
         normals="estimated",
         maps="own",

@@ -385,7 +385,7 @@ class Objective:
             return None
         places = self._all_places()[pixels]
         planes = (estimates.roughness, estimates.metallic)
-        return np.stack([plane.ravel()[places] for plane in planes], axis=-1).astype(np.float64)
+        return np.stack([plane.flat[places] for plane in planes], axis=-1).astype(np.float64)
 
     @property
     def file_correlation(self) -> float:
