@@ -238,14 +238,14 @@ def _how_to_read(pictures: Sequence[Picture]) -> str:
 
 
 def _card(one: Picture, chosen: _Chosen) -> str:
-    pngs = one.pngs(chosen.side)
+    files = one.files(chosen.side)
     if one.fit is None:
-        [png] = pngs
-        content = figures.picture(png, chosen.size, f"Reconstruction of {one.name}")
+        [file] = files
+        content = figures.picture(file, chosen.size, f"Reconstruction of {one.name}")
         return figures.figure(content, one.name, "reconstruction")
     alts = (f"Picture {one.name}", f"Reconstruction of {one.name}", f"Residual of {one.name}")
     content = "".join(
-        figures.picture(png, chosen.size, alt) for png, alt in zip(pngs, alts, strict=True)
+        figures.picture(file, chosen.size, alt) for file, alt in zip(files, alts, strict=True)
     )
     remark = f"RMSE {plain(one.fit.rmse)}, {percent(one.fit.share)} relative to the picture's RMS"
     if one.fit.left_out > 0:

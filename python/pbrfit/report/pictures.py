@@ -64,15 +64,15 @@ class Picture:
 
     def size(self, side: int) -> int:
         """Bytes in the page at one of the sides, the largest first."""
-        pngs = (*(self.light_pngs or ()), *self.pngs(side))
-        return sum(-(-len(png) // 3) * 4 for png in pngs)  # in base64
+        files = (*(self.light_pngs or ()), *self.files(side))
+        return sum(-(-len(one) // 3) * 4 for one in files)  # in base64
 
-    def pngs(self, side: int) -> tuple[bytes, ...]:
+    def files(self, side: int) -> tuple[bytes, ...]:
         """At one of the sides: picture, reconstruction and residual, or only the second."""
         if side not in self.made:
             at = self.sides[side]
             found = [
-                raster.picture_png(metrics.display(raster.reduced(one, at), self.white))
+                raster.photograph(metrics.display(raster.reduced(one, at), self.white))
                 for one in self.radiance
             ]
             if self.residual is not None:

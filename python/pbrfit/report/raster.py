@@ -18,6 +18,12 @@ Values = NDArray[np.floating[Any]]
 SMALL = 1 << 13
 """Pixels up to which the slowest and strongest compression is worth its time."""
 
+LOSSLESS_SIDE = 256
+"""Longer side of a photograph up to which it is a PNG, whose pixels may be looked at."""
+
+QUALITY = 90
+"""Of photographs in JPEG and WebP, at which a block's border is not seen."""
+
 
 def reduced(values: Values, side: int) -> NDArray[np.float64]:
     """Average (H, W) or (H, W, C) down; NaN where most of what is averaged is NaN."""
@@ -53,13 +59,26 @@ def reduced_difference(difference: Difference, side: int) -> Difference:
 
 def picture_png(encoded: Values) -> bytes:
     """(H, W) or (H, W, 3) as it goes to the screen; transparent where it is NaN."""
+    return _png(_shown(encoded))
+
+
+def _shown(encoded: Values) -> Image.Image:
     unknown = np.isnan(encoded)
     outside = unknown if encoded.ndim == 2 else over_channels(np.logical_or, unknown)
     codes = np.rint(255 * np.where(unknown, 0.0, np.clip(encoded, 0.0, 1.0))).astype(np.uint8)
     if not outside.any():
-        return _png(Image.fromarray(codes))
+        return Image.fromarray(codes)
     alpha = np.where(outside, 0, 255).astype(np.uint8)
-    return _png(Image.fromarray(np.dstack([codes, alpha])))
+    return Image.fromarray(np.dstack([codes, alpha]))
+
+
+def photograph(encoded: Values) -> bytes:
+    """As `picture_png`; large ones as WebP: a tenth of the bytes in a fifth of the time."""
+    if max(encoded.shape) <= LOSSLESS_SIDE:
+        return picture_png(encoded)
+    buffer = io.BytesIO()
+    _shown(encoded).save(buffer, "WEBP", quality=QUALITY, method=0)
+    return buffer.getvalue()
 
 
 def difference_png(difference: Difference) -> bytes:
