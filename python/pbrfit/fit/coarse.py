@@ -81,8 +81,6 @@ def rounds(
     for number in range(at_most):
         if number >= settings.WEIGHING_ROUND:
             level = replace(level, objective=_weighed(given, x, noise))
-            if shared is not None:
-                shared.stale = True
         objective, prior, fixed = level.objective, None, None
         if normals is not None:
             if number == 0:  # what the given ones can explain, first
@@ -99,7 +97,7 @@ def rounds(
             retry_outliers(objective, x, sum_sq)
         total = float(sum_sq.sum())
         exact = is_exact(objective, total)
-        left, before, fit = left_of(level, x, sum_sq, shared, noise, fixed), weight, None
+        left, before, fit = left_of(level, x, sum_sq, shared, noise, prior), weight, None
         if shared is not None:
             weight = 0.0 if exact else min(weight, left.design_effect * left.variance)
             shared.lights = shared.lights.weighing(weight, left.variance, objective.pixels)
@@ -137,10 +135,8 @@ def rounds(
             changed, objective = True, _weighed(given, x, noise)
             level = replace(level, objective=objective)
             sum_sq = fit_level(objective, x, fixed)
-            if shared is not None:
-                shared.stale = True
     if changed:
-        left = left_of(level, x, sum_sq, shared, noise, fixed)
+        left = left_of(level, x, sum_sq, shared, noise, prior)
     if nuisances is not None:
         nuisances.judge(left)
     return Lights(x, left, exact, shared, watch.stopped or run.out_of_time(), noise, deviance)
@@ -207,16 +203,16 @@ def left_of(
     share = misfit.independent_share(objective, x)
     if shared is None:
         return Misfit(variance, 1.0, share, of_files)
-    renewed = shared.inverse is None or shared.stale
-    if renewed:
-        shared.lights = shared.lights.weighing(variance, variance, objective.pixels)
     fit = JointFit(objective, x, sum_sq, shared, prior, lambda: False)
-    if renewed:
+    if shared.is_stale(fit.size):
+        shared.lights = shared.lights.weighing(variance, variance, objective.pixels)
+        fit.lights = shared.lights.of_pixels(objective.pixels)
         fit.renew_preconditioner()
     finer = round(math.sqrt(len(level.pixels) / settings.COARSE_PIXELS))
     patches, effect = level.patches(settings.PATCH_SIDE * max(finer, 1)), 1.0
     if len(patches) >= settings.PATCHES_MIN:
-        scores = np.array([fit.kept_system(patch).gradient for patch in patches])
+        lights = fit.lights.mean.size
+        scores = np.array([fit.kept_system(patch).gradient[:lights] for patch in patches])
         scores -= scores.mean(axis=0)
         sizes = sum(float(score @ shared.solved(objective, score)) for score in scores)
         unbiased = len(patches) / (len(patches) - 1)

@@ -148,6 +148,7 @@ class _Comparison:
         self._shapes: dict[tuple[Curve | None, int], tuple[Scene, FirstShape]] = {}
         self._tried: dict[Explanation, list[LeftOut]] = {}
         self._lit: dict[tuple[Explanation, int], tuple[Run, Lights]] = {}
+        self._normals: dict[tuple[Explanation, int], refined_fit.Found] = {}
         self._surrounded: Surrounded | None = None
         self._no_surroundings = self._without_surroundings()
         self._transfer: PixelTransfer | None = None
@@ -579,12 +580,10 @@ class _Comparison:
         setup = self._setup_with(priors=priors, robust=kind.robust)
         if kind.other_fov:
             scene = replace(scene, fov_known=False)
+        key = replace(kind, material=0.0), fold
         if kind.free_normals:
-            run = Run(setup, scene, setup.objective(scene))
-            start = run.objective.start()
-            state = refined_fit.fit(run, start, setup.objective, start_given=False, refines=True)
+            state = refined_fit.fit_held(self._refined(setup, key, scene), setup.objective)
         else:
-            key = replace(kind, material=0.0), fold
             state = fit_materials(*self._under_lights(setup, key, scene, among))
         run = state.run
         scene, (materials, _) = run.scene, run.objective.unpack(state.x)
@@ -599,6 +598,20 @@ class _Comparison:
             scene.through(camera.fov_degrees).views[valid],
             fov=None if sigma is None else (camera.fov_degrees, sigma),
         )
+
+    def _refined(
+        self, setup: FitSetup, key: tuple[Explanation, int], scene: Scene
+    ) -> refined_fit.Found:
+        """Normals of a fold, on which the material prior has no influence."""
+        if key not in self._normals:
+            run = Run(setup, scene, setup.objective(scene))
+            found = refined_fit.find(run, run.objective.start(), setup.objective)
+            if found is None:
+                raise InputError(refined_fit.OUT_OF_TIME)
+            self._normals[key] = found
+        found = self._normals[key]
+        run = found.run.continued(found.run.scene, found.run.objective, options=setup.options)
+        return replace(found, run=run)
 
     def _under_lights(
         self,

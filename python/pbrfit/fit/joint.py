@@ -6,9 +6,11 @@ those by the lights, and both with the priors' rows, pixels are solved for first
 
     S = Σ_p Bᵀ (1 − J (JᵀJ)⁻¹ Jᵀ) B + Q        s = Σ_p Bᵀ (1 − J (JᵀJ)⁻¹ Jᵀ) r + Q (L − μ)
 
-with the prior on lights Q. S δ = −s is solved by conjugate gradients: products with S cost a pass
-over the pictures, S itself the square of the lights' number for each pixel. What makes them few is
-a preconditioner (`pbrfit.fit.preconditioner`), which is kept while it serves. After each step every
+with the prior on lights Q. S δ = −s is solved by conjugate gradients. What makes them few is a
+preconditioner (`pbrfit.fit.preconditioner`), S itself of some of the pixels. For M lights and each
+row of J it costs M² a pixel, of which half is multiplied; a product costs 2 M. So one of p of P
+pixels is worth p M / 4 P products, and is made anew when so many have been made: at most twice of
+what is needed is spent, however long it serves (the ski rental problem). After each step every
 pixel descends by itself under its new lights, and those that are worse off start again.
 
 Offsets that clusters of pixels share in a prior are shared unknowns like the lights: without them
@@ -51,15 +53,19 @@ class SharedFit:
     """S⁻¹ v for S of one pixel, the preconditioner; None = not made yet."""
     size: int = 0
     """Of v."""
-    stale: bool = True
-    """Whether it is to be made anew."""
+    worth: float = 0.0
+    """Products with S that cost as much as making it anew."""
+    spent: int = 0
+    """Products since it was made."""
+
+    def is_stale(self, size: int) -> bool:
+        """Whether it is to be made anew for so many unknowns: others, or what it cost is spent."""
+        return self.size != size or self.spent >= self.worth
 
     def solved(self, objective: Objective, v: Array) -> Array:
-        """About S⁻¹ v of an objective's pixels, for v of all that is shared or of the lights."""
+        """About S⁻¹ v of an objective's pixels; for v of the lights alone, the others held."""
         assert self.inverse is not None
-        size = len(v)
-        padded = np.concatenate([v, np.zeros(self.size - size)])
-        return self.inverse(padded)[:size] / objective.pixels
+        return self.inverse(v) / objective.pixels
 
     def joint_fit(
         self,
@@ -71,7 +77,6 @@ class SharedFit:
         stop: Stop = lambda: False,
     ) -> JointFit:
         """Of some pixels with their prior."""
-        self.stale |= prior is not None  # whose clusters or precisions are others each time
         return JointFit(objective, x, sum_sq, self, prior, stop)
 
 
@@ -96,6 +101,11 @@ class JointFit:
         self.offsets = None
         if self.prior is not None and self.prior.cluster is not None:
             self.offsets = self.prior.offsets(self.x)
+
+    @property
+    def size(self) -> int:
+        """Of the shared unknowns."""
+        return self.lights.mean.size + (0 if self.offsets is None else self.offsets.size)
 
     def pixel_prior(self, offsets: Array | None) -> GaussianPrior | None:
         """The prior of each pixel by itself, with these offsets of the clusters."""
@@ -150,8 +160,9 @@ class JointFit:
         few, part, times, options = _sample(self, settings.PRECONDITIONER_PIXELS)
         others = np.empty(0) if self.offsets is None else self._offset_precision.ravel()
         self.shared.inverse = Preconditioner.of(few, part, times, self.lights, others, options)
-        self.shared.size = self.lights.mean.size + len(others)
-        self.shared.stale = False
+        self.shared.size = self.size
+        self.shared.worth = self.size / 4 * few.pixels / self.objective.pixels
+        self.shared.spent = 0
 
     def _system(self) -> tuple[Array, Callable[[Array], Array]]:
         """The gradient s, in order, and S v; the preconditioner is renewed where it is stale."""
@@ -168,7 +179,7 @@ class JointFit:
                 found[end:] += self._offset_precision.ravel() * v[end:]
             return np.asarray(found)
 
-        if self.shared.stale:
+        if self.shared.is_stale(self.size):
             self.renew_preconditioner()
         return gradient, product
 
@@ -194,9 +205,15 @@ class JointFit:
         """S⁻¹ `right`, or 0 if nothing like `enough` is to be gained."""
         solved = partial(self.shared.solved, self.objective)
         moves, number = conjugate_gradients(
-            right, product, solved, ratio=ratio, enough=enough, stop=self.stop
+            right,
+            product,
+            solved,
+            ratio=ratio,
+            enough=enough,
+            at_most=max(settings.CG_ITERATIONS_MAX, round(self.shared.worth)),
+            stop=self.stop,
         )
-        self.shared.stale = number >= settings.CG_RENEW
+        self.shared.spent += number
         return moves
 
     def step(self, moves: Array, total: float) -> float | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,6 +99,9 @@ def as_in_x(moves: Array, layout: ParameterLayout) -> Array:
 def solver_of(matrix: Array, damping: float) -> Callable[[Array], Array]:
     """Solves with a matrix, which is lost, damped by a share of its diagonal.
 
+    A shorter right side is solved with the leading part of the matrix, whose Cholesky factor is the
+    leading part of the whole one's.
+
     Where it is not positive definite for rounding, next to nothing is known of the lights, and its
     diagonal stands for it.
     """
@@ -110,7 +112,12 @@ def solver_of(matrix: Array, damping: float) -> Callable[[Array], Array]:
     # 1e-13 of the largest is for directions nobody sees.
     diagonal += damping * np.abs(diagonal) + 1e-13 * diagonal.max() + np.finfo(float).tiny
     try:
-        factor = cho_factor(matrix, overwrite_a=True, check_finite=False)
+        factor, lower = cho_factor(matrix, overwrite_a=True, check_finite=False)
     except np.linalg.LinAlgError:
-        return partial(np.multiply, 1 / sizes)
-    return partial(cho_solve, factor, check_finite=False)
+        return lambda right: right / sizes[: len(right)]
+
+    def solve(right: Array) -> Array:
+        part = factor[: len(right), : len(right)]
+        return np.asarray(cho_solve((part, lower), right, check_finite=False))
+
+    return solve

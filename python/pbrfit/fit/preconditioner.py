@@ -99,14 +99,15 @@ def conjugate_gradients(
     *,
     ratio: float,
     enough: float,
+    at_most: int,
     stop: Callable[[], bool],
 ) -> tuple[Array, int]:
     """S⁻¹ `right` (M,), and the number of products with S, which is positive definite.
 
     `product` gives S v, `solved` M⁻¹ v of the preconditioner M. It ends at `ratio` of the first
-    error, in the norm of M; after so many iterations (`settings.CG_ITERATIONS_MAX`); by `stop`; or
-    where a share of `enough`, r·M⁻¹r, is left to gain (`settings.CG_GAIN_SHARE`). Where less than
-    `enough` is to gain, nothing is done.
+    error, in the norm of M; after `at_most` products; by `stop`; or where a share of `enough`,
+    r·M⁻¹r, is left to gain (`settings.CG_GAIN_SHARE`). Where less than `enough` is to gain, nothing
+    is done.
     """
     residual, found = right.copy(), np.zeros_like(right)
     direction = preconditioned = solved(residual)
@@ -114,7 +115,7 @@ def conjugate_gradients(
     if not first >= enough:
         return found, 0
     number = 0
-    while number < settings.CG_ITERATIONS_MAX and not stop():
+    while number < at_most and not stop():
         number += 1
         along = product(direction)
         curvature = float(direction @ along)

@@ -212,14 +212,12 @@ PRECONDITIONER_DAMPING = 1e-6
 """Share of the preconditioner's diagonal that is added to it."""
 
 CG_ITERATIONS_MAX = 20
-"""Products with the lights' system in a joint step."""
+"""Products with the lights' system in a joint step, or as many as cost what a new preconditioner
+does."""
 
 CG_ERROR_RATIO = 0.1
 """Ratio of the remaining error to the first, in the norm of the preconditioner, at which conjugate
 gradients stop: the descent of all pixels after them costs more."""
-
-CG_RENEW = 10
-"""Iterations of conjugate gradients from which on the preconditioner is made anew."""
 
 CG_GAIN_SHARE = 0.1
 """Share of the gain that makes a step worth while (`GAIN_MIN`) at which they stop too."""

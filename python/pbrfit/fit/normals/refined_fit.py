@@ -6,7 +6,7 @@ Whether they are is decided by left-out pictures (`pbrfit.fit.compare`), or aske
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,18 @@ Array = NDArray[np.float64]
 OUT_OF_TIME = "the time limit came first"
 
 
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Normals and lights of all pixels, on which the material prior has no influence."""
+
+    run: Run
+    """That goes on, through the camera that was found."""
+    free: Objective
+    x: Array
+    """Of `free`."""
+    noise: NoiseModel | None
+
+
 def fit(
     run: Run,
     x: Array,
@@ -50,23 +62,33 @@ def fit(
     `make` gives the objective of a scene, with free normals or without. From `normals` (P, 3)
     pixels may start, beside the given ones.
     """
-    refined = None
-    if refines and run.left > 0:
-        noise, refining = None, run
-        if run.shared is not None:  # a tile of a picture whose subset has found the rest
-            noise = run.shared.noise
-        elif run.camera.how == "assumed":
-            find_lights(run, x)  # and a field of view, with the given normals
-        free = make(run.scene, True)
-        free_x, offsets = _start(run, x, free, normals)
-        if run.shared is None:
-            offsets, found, nuisances = _find_normals(run, free, free_x, offsets)
-            noise = found.noise
-            if nuisances is not None:
-                refining = run.continued(nuisances.scene, free)
-                refining.see(nuisances)
-        refined = _refine(refining, free, free_x, offsets, make, noise)
-    return refined or solve(run, x.copy(), start_given=start_given)
+    found = find(run, x, make, normals) if refines and run.left > 0 else None
+    if found is None:
+        return solve(run, x.copy(), start_given=start_given)
+    return fit_held(found, make)
+
+
+def find(
+    run: Run, x: Array, make: Callable[[Scene, bool], Objective], normals: Array | None = None
+) -> Found | None:
+    """Refined normals from x, as `fit`; None if time ran out."""
+    noise, refining = None, run
+    if run.shared is not None:  # a tile of a picture whose subset has found the rest
+        noise = run.shared.noise
+    elif run.camera.how == "assumed":
+        find_lights(run, x)  # and a field of view, with the given normals
+    free = make(run.scene, True)
+    free_x, offsets = _start(run, x, free, normals)
+    if run.shared is None:
+        offsets, found, nuisances = _find_normals(run, free, free_x, offsets)
+        noise = found.noise
+        if nuisances is not None:
+            refining = run.continued(nuisances.scene, free)
+            refining.see(nuisances)
+    with refining.stage("normals of all pixels"):
+        if not refine_all(free, free_x, offsets, noise, refining.out_of_time):
+            return None
+    return Found(refining, free, free_x, noise)
 
 
 def _start(
@@ -119,19 +141,10 @@ def _find_normals(
     return replace(prior, sigma=of_level.offsets.sigma), found, nuisances
 
 
-def _refine(
-    run: Run,
-    free: Objective,
-    free_x: Array,
-    prior: TangentOffsetPrior,
-    make: Callable[[Scene, bool], Objective],
-    noise: NoiseModel | None,
-) -> State | None:
-    """The fit of all pixels with refined normals, from an x of `free`; None if time ran out."""
-    with run.stage("normals of all pixels"):
-        if not refine_all(free, free_x, prior, noise, run.out_of_time):
-            return None
-    state = _fit_held(run, free, free_x, make)
+def fit_held(found: Found, make: Callable[[Scene, bool], Objective]) -> State:
+    """What is found with all priors, by normals that were found."""
+    free, free_x = found.free, found.x.copy()
+    state = _fit_held(found.run, free, free_x, make)
     run, ended = state.run, state.ended
     if run.out_of_time():  # perhaps after the fit that has ended
         ended = run.ended("")
