@@ -38,12 +38,17 @@ import scipy.linalg
 from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion, gaussian_filter
 
+from pbrfit.fit.lamps.samples import some_of
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SMOOTHING = 1.0
 """Standard deviation in pixels of the mean that b is taken over before it is differentiated: the
 derivatives' noise falls to a fifth, and details of two pixels remain."""
+
+EQUATIONS_MAX = 1 << 17
+"""Pixels whose equations are summed: what other surfaces reflect shifts them more than noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +81,8 @@ def equations(
     weight = np.maximum(weight, np.finfo(np.float64).tiny)
     smooth = gaussian_filter(vectors, (SMOOTHING, SMOOTHING, 0)) / weight[..., None]
     row, column = np.nonzero(binary_erosion(mask))
+    some = some_of(len(row), EQUATIONS_MAX)
+    row, column = row[some], column[some]
     b = smooth[row, column]
     along_x = (smooth[row, column + 1] - smooth[row, column - 1]) / 2
     along_y = (smooth[row - 1, column] - smooth[row + 1, column]) / 2

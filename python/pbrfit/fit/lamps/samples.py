@@ -29,7 +29,7 @@ and the two planes that are added to it."""
 class Samples:
     """Pixels of the mask: (P, N) grey samples, what of them is usable, and their colours."""
 
-    colors: Array
+    colors: NDArray[np.floating[Any]]
     """(P, N, C): also those not told, such as clipped ones, and 0 for what is not finite."""
     told: Mask
     """(P, N, C): which of the colours are usable."""
@@ -43,7 +43,7 @@ class Samples:
     @classmethod
     def of(cls, samples: Array, usable: Mask, mask: Mask, threads: int = 0) -> Samples:
         """Of pictures (N, H, W) or (N, H, W, C), in which some values are usable, of that shape."""
-        samples = np.asarray(samples, np.float64)
+        samples = np.asarray(samples)
         if samples.ndim == 3:
             samples, usable = samples[..., None], np.asarray(usable)[..., None]
         if samples.ndim != 4 or len(samples) < 3:
@@ -58,9 +58,9 @@ class Samples:
                 raise InputError(f"{name}: expected shape {shape}, found {np.shape(array)}")
         if not mask.any():
             raise InputError("mask: expected pixels, found none")
-        colors = np.moveaxis(samples[:, mask], 0, 1)
-        told = np.moveaxis(usable[:, mask], 0, 1) & np.isfinite(colors)
-        colors = np.where(np.isfinite(colors), colors, 0.0)
+        colors = np.stack([picture[mask] for picture in samples], axis=1)
+        told = np.stack([of[mask] for of in usable], axis=1) & np.isfinite(colors)
+        colors[~np.isfinite(colors)] = 0.0
         grey, used = grey_samples(colors, told)
         bright = brightness(grey, used)
         return cls(colors, told, grey, used, bright, np.nonzero(mask), mask, threads)
@@ -116,7 +116,7 @@ def brightness(samples: Array, usable: Mask) -> Array:
     return np.maximum(middle, max(floor, np.finfo(np.float64).tiny))
 
 
-def grey_samples(colors: Array, told: Mask) -> tuple[Array, Mask]:
+def grey_samples(colors: NDArray[np.floating[Any]], told: Mask) -> tuple[Array, Mask]:
     """Grey samples (P, N), and which are usable, of colours (P, N, C) of which some are told.
 
     A pixel is judged by the same channels in all pictures, those that are told most often. The red
@@ -124,7 +124,7 @@ def grey_samples(colors: Array, told: Mask) -> tuple[Array, Mask]:
     """
     often = told.sum(axis=1, keepdims=True)
     kept = often == often.max(axis=2, keepdims=True)
-    grey = np.where(kept & told, colors, 0.0).sum(axis=2) / kept.sum(axis=2)
+    grey = np.where(kept & told, colors, 0.0).sum(axis=2, dtype=np.float64) / kept.sum(axis=2)
     return grey, np.asarray((told | ~kept).all(axis=2))
 
 

@@ -27,7 +27,8 @@ def first_shape(scene: Scene, threads: int = 0) -> FirstShape:
     usable = np.broadcast_to(scene.valid[..., None], images.shape).copy()
     if scene.weights is not None:
         usable &= scene.weights > 0
-    images = np.where(usable, images, 0.0).astype(np.float64)
+    images = images.astype(np.float32, copy=False)
+    images[~usable] = 0.0
     if scene.limits is not None:
         usable &= scene.limits == 0
     seen = scene if scene.fov_known else scene.through(FOV_MEAN)

@@ -13,7 +13,10 @@ from numpy.typing import NDArray
 from pbrfit.fit.lamps.ambiguity import KNOWN_MIN, unit_and_length
 from pbrfit.fit.lamps.photometric import PseudoNormals
 from pbrfit.fit.lamps.samples import FirstShape, Samples, some_of
+from pbrfit.fit.sampling import slices
+from pbrfit.fit.settings import PIXELS_AT_ONCE
 from pbrfit.model.materials import nearest_inside
+from pbrfit.threads import in_pieces
 
 Array = NDArray[np.float64]
 
@@ -55,12 +58,18 @@ def finished(
     unit, _ = unit_and_length(vectors)
     unit[~unit.any(axis=1)] = 0.0, 0.0, 1.0  # neither the pixel nor a neighbour tells anything
     directions, strengths = unit_and_length(lamps)
-    shading = np.maximum(unit @ directions.T, 0.0)
-    # Pixels of which no sample follows the law have an albedo all the same.
-    weights = np.maximum(found.weights, 1e-6)[..., None] * data.told
-    some = some_of(len(unit), 20_000)
-    colors = strengths_of_channels(data.colors[some], shading[some], weights[some], strengths)
-    albedos = _albedo(data.colors, shading, weights, colors)
+
+    def shaded(pixels: slice | NDArray[np.intp]) -> tuple[Array, Array, Array]:
+        """Colours, shading, and the weights of both."""
+        # Pixels of which no sample follows the law have an albedo all the same.
+        weights = np.maximum(found.weights[pixels], 1e-6)[..., None] * data.told[pixels]
+        shading = np.maximum(unit[pixels] @ directions.T, 0.0)
+        return data.colors[pixels].astype(np.float64), shading, weights
+
+    colors = strengths_of_channels(*shaded(some_of(len(unit), 20_000)), strengths)
+    pieces = slices(len(unit), PIXELS_AT_ONCE)
+    parts = in_pieces(data.threads, lambda piece: _albedo(*shaded(piece), colors), pieces)
+    albedos = np.concatenate(parts)
     return FirstShape(
         normals=data.plane(unit, np.nan),
         albedo=data.plane(np.broadcast_to(albedos, (len(unit), 3)), np.nan),
