@@ -15,6 +15,7 @@ from pbrfit import address_space
 from pbrfit._core import InputError
 from pbrfit.batch import heartbeat
 from pbrfit.errors import in_one_line
+from pbrfit.io.json_files import read_as
 from pbrfit.io.normal_files import NORMAL_FILES
 from pbrfit.result.held_out import HeldOut
 from pbrfit.result.options import FitOptions
@@ -131,7 +132,7 @@ def decompose_scene(
                 iterations=int(content["iterations"]),
                 metrics=dict(content["metrics"]),
                 verdicts=verdicts,
-                held_out=HeldOut.from_json(content.get("held_out")),
+                held_out=read_as(HeldOut | None, content["held_out"]),
                 table=f"{task.output}: kept, nothing has changed",
                 steps=advice.of_verdicts(verdicts),
             )

@@ -10,13 +10,16 @@ import math
 import re
 import tomllib
 from collections.abc import Mapping
+from dataclasses import is_dataclass
 from functools import partial
+from itertools import repeat
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from pbrfit._core import InputError
 from pbrfit.io.input_files import TEXT_BYTES, read_text
-from pbrfit.io.quoting import quoted, shown
+from pbrfit.io.quoting import listed, quoted, shown
 
 UNFIT = (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError)
 """What it may come to when content is taken for what it is not."""
@@ -76,17 +79,8 @@ def number(value: Any, least: float = -math.inf, most: float = math.inf) -> floa
     return found
 
 
-positive, share = partial(number, least=0.0), partial(number, least=0.0, most=1.0)
-"""Check a finite number that is not negative, or from 0 to 1."""
-
-
-def figures(value: Any) -> dict[str, float]:
-    """Check numbers by name; null, which stands for what JSON has no number for, is NaN."""
-    return {k: math.nan if v is None else number(v) for k, v in table(value).items()}
-
-
 def finite_or_null(numbers: Mapping[str, float]) -> dict[str, float | None]:
-    """Undo `figures`: infinite numbers and NaN become null."""
+    """Infinite numbers and NaN, which JSON has no number for, become null."""
     return {k: float(v) if math.isfinite(v) else None for k, v in numbers.items()}
 
 
@@ -129,6 +123,37 @@ def texts(value: Any) -> tuple[str, ...]:
 def table(value: Any) -> dict[str, Any]:
     """Check an object; its keys are texts that can be written to a file."""
     return {text(key): entry for key, entry in _a(value, Mapping, "an object").items()}
+
+
+def read_as(kind: Any, value: Any) -> Any:
+    """A value as a type, as annotations name it: undoes `dataclasses.asdict`.
+
+    A dataclass is an object of its fields and no others; null among numbers by name is NaN.
+    """
+    origin, parts = get_origin(kind), get_args(kind)
+    if isinstance(kind, type) and is_dataclass(kind):
+        given, fields = table(value), get_type_hints(kind)
+        if others := given.keys() ^ fields.keys():
+            raise ValueError(f"{kind.__name__} with or without {listed(others)}")
+        return kind(**{name: read_as(of, given[name]) for name, of in fields.items()})
+    if origin in (Union, UnionType):
+        return None if value is None else read_as(parts[0], value)
+    if origin is Literal:
+        if value not in parts:
+            raise ValueError(f"{quoted(value)} in place of {', '.join(map(str, parts))}")
+        return value
+    if origin is tuple:
+        entries = _a(value, list, "a list")
+        kinds = repeat(parts[0], len(entries)) if parts[-1] is Ellipsis else parts
+        return tuple(read_as(of, one) for of, one in zip(kinds, entries, strict=True))
+    if origin is Mapping:
+        one = _number_or_nan if parts[1] is float else partial(read_as, parts[1])
+        return {name: one(entry) for name, entry in table(value).items()}
+    return {str: text, int: whole, float: number, bool: flag}.get(kind, kind)(value)
+
+
+def _number_or_nan(value: Any) -> float:
+    return math.nan if value is None else number(value)
 
 
 def _a(value: Any, kind: type | tuple[type, ...], what: str) -> Any:

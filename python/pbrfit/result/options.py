@@ -14,8 +14,6 @@ import numpy as np
 
 from pbrfit._core import InputError
 from pbrfit.io.checks import of_what, real_number
-from pbrfit.io.json_files import table
-from pbrfit.io.quoting import listed
 from pbrfit.model.reflection import MODELS, Model, checked_model, whole_number
 from pbrfit.result.refinement import CHOICES, RefineNormals
 
@@ -248,18 +246,6 @@ class FitOptions:
         """What `result.json` holds under `options`."""
         values: dict[str, Any] = json.loads(json.dumps(asdict(self)))
         return values
-
-    @classmethod
-    def from_json(cls, content: Mapping[str, Any]) -> FitOptions:
-        """Undo `to_json`; ValueError, KeyError or TypeError if it is something else."""
-        values = table(content)
-        if values.get("white") is not None:
-            values["white"] = tuple(values["white"])
-        others = sorted(set(values) ^ {one.name for one in fields(cls)})
-        if others:
-            raise ValueError(f"options {listed(others)}")
-        values["priors"] = Priors(**table(values["priors"]))
-        return cls(**values)
 
 
 def attributes_of(options: type) -> str:

@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,10 +19,9 @@ from pbrfit.io.json_files import (
     finite_or_null,
     number,
     path_text,
-    positive,
+    read_as,
     read_json,
     table,
-    text,
     texts,
     unfit,
     whole,
@@ -35,12 +34,9 @@ from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import of_channels, write_materials
 from pbrfit.model.reflection import MODELS, Model
 from pbrfit.registration.placement import IN_LINE, NOT_CHECKED, aligned
-from pbrfit.result.camera import Camera
-from pbrfit.result.data import DEPTH, GIVEN_NORMALS, SEGMENT, ResultData, Stage, Status
-from pbrfit.result.held_out import HeldOut
+from pbrfit.result.data import DEPTH, GIVEN_NORMALS, SEGMENT, ResultData
 from pbrfit.result.history import History
 from pbrfit.result.metrics import PROTOCOL
-from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import Refinement
 from pbrfit.result.relighting import Light, relight
 from pbrfit.result.uncertainty import Uncertainty, layer_names
@@ -48,13 +44,18 @@ from pbrfit.scene.folder import HEIGHT_FILE, is_scene
 from pbrfit.scene.options import ReadOptions, Source
 from pbrfit.scene.scene import Scene
 from pbrfit.scene.writing import write_height
-from pbrfit.transport.decision import Transport
 
 if TYPE_CHECKING:
     from pbrfit import Exported
 
 FILES = ("materials.exr", "lighting.json", "history.csv", "preview.png")
 """Files of a result folder whose sha256 is in `result.json`."""
+
+DETAILS = (
+    *("fov", "status", "stop_reason", "evaluations", "seconds", "metrics", "options", "assumed"),
+    *("left_out", "inputs", "stages", "camera", "transport", "held_out"),
+)
+"""Fields of `ResultData` that `result.json` has under their names."""
 
 REPORT_FILE = "report.html"
 
@@ -254,32 +255,15 @@ def details_of(content: Any, folder: Path) -> dict[str, Any]:
     Raises one of `json_files.UNFIT` for what pbrfit does not write.
     """
     content = table(content)
-    fov = number(content["fov"])
-    check_fov(fov)
+    check_fov(number(content["fov"]))
     table(content["files"])
     whole(content["iterations"])
-    source, camera = content["scene"], content["camera"]
+    kinds, source = get_type_hints(ResultData), content["scene"]
     return {
-        "fov": fov,
+        **{name: read_as(kinds[name], content[name]) for name in DETAILS},
         "model": model_of(content, folder / "result.json"),
-        "status": Status(text(content["status"])),
-        "stop_reason": text(content["stop_reason"]),
-        "evaluations": whole(content["evaluations"]),
-        "seconds": positive(content["seconds"]),
-        "metrics": {k: positive(v) for k, v in table(content["metrics"]).items()},
-        "options": FitOptions.from_json(table(content["options"])),
-        "assumed": {k: text(v) for k, v in table(content["assumed"]).items()},
-        "left_out": texts(content["left_out"]),
-        "inputs": {k: text(v) for k, v in table(content["inputs"]).items()},
-        "stages": tuple(
-            Stage(text(one["name"]), positive(one["seconds"]), text(one["note"]))
-            for one in content["stages"]
-        ),
+        "refinement": read_as(Refinement, content["normals"]),
         "source": None if source is None else _source(source, folder),
-        "refinement": Refinement.from_json(content["normals"]),
-        "camera": None if camera is None else Camera.from_json(table(camera)),
-        "transport": Transport.from_json(content["transport"]),
-        "held_out": HeldOut.from_json(content["held_out"]),
     }
 
 

@@ -22,6 +22,7 @@ from pbrfit.commands.scene_display import Row, batch_table
 from pbrfit.commands.terminal import CUBE, held_out_lines, verdict_lines
 from pbrfit.fit.decompose import decompose
 from pbrfit.fit.run import Progress
+from pbrfit.io.json_files import read_as
 from pbrfit.result.held_out import HeldOut
 from pbrfit.result.result import Result
 from pbrfit.result.verdict import LEVELS, MARKS, Level, Verdict
@@ -224,7 +225,7 @@ def test_a_scene_says_how_its_left_out_pictures_are_explained(
     assert done(*fit_of_one, "--resume", "--quiet") == ""
     for again in ("--overwrite", "--resume"):
         [line] = done(*fit_of_one, "--json", again).splitlines()
-        assert HeldOut.from_json(json.loads(line)["held_out"]) == EXPLAINED
+        assert read_as(HeldOut, json.loads(line)["held_out"]) == EXPLAINED
     write_folder(tmp_path / "scenes" / "two")
     (tmp_path / "scenes" / "two" / "normals.exr").write_bytes(b"")
     fit_of_all = ("decompose", tmp_path / "scenes", "--out", tmp_path / "all", "--iterations", 1)
