@@ -119,7 +119,7 @@ class Journal:
                 f"{path}: expected the picture as it was received, found {there}; without "
                 f"{entry.stem}.json it is asked for anew"
             )
-        return read_srgb8(data, ("PNG",))
+        return read_srgb8(data)
 
     def _add(self, entry: Entry) -> Entry:
         content = {"about": self._about, **dataclasses.asdict(entry)}

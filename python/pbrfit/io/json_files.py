@@ -135,7 +135,12 @@ def read_as(kind: Any, value: Any) -> Any:
         given, fields = table(value), get_type_hints(kind)
         if others := given.keys() ^ fields.keys():
             raise ValueError(f"{kind.__name__} with or without {listed(others)}")
-        return kind(**{name: read_as(of, given[name]) for name, of in fields.items()})
+        for name, of in fields.items():
+            try:
+                given[name] = read_as(of, given[name])
+            except ValueError as error:
+                raise ValueError(f"{name}: {error}") from None
+        return kind(**given)
     if origin in (Union, UnionType):
         return None if value is None else read_as(parts[0], value)
     if origin is Literal:
