@@ -102,7 +102,7 @@ class GenerationReport:
                 pixels = np.full((*self.photo.size, 3), OUTSIDE)
                 if not attempt.entry.refused:
                     pixels = journal.pixels(attempt.entry) / 255.0
-                shown.append(Panel(caption, pixels, note=reason, crossed=bool(reason)))
+                shown.append(Panel(caption, pixels, note=reason))
         title = (
             f"{self.photo.path.name}: {len(self.accepted)} of {len(self.pictures)} pictures by "
             f"{self.settings.get('generator', 'the generator')}"
@@ -120,8 +120,8 @@ def contact_sheet(
 ) -> NDArray[np.uint8]:
     """The photo, then accepted pictures, then a part of its own for those that were refused.
 
-    All as they go to the screen; pictures that were refused are crossed, and the order of the
-    others is kept. Returns (H, W, 3) uint8.
+    All as they go to the screen; pictures that were refused have a note that says why. Returns
+    (H, W, 3) uint8.
     """
     half = (CAPTION_LENGTH_MAX - 1) // 2  # the ends tell pictures apart; the seed is at one of them
     pictures = [
@@ -130,8 +130,8 @@ def contact_sheet(
         else one
         for one in pictures
     ]
-    accepted = [Panel("the photo", photo), *(one for one in pictures if not one.crossed)]
-    refused = [one for one in pictures if one.crossed]
+    accepted = [Panel("the photo", photo), *(one for one in pictures if not one.note)]
+    refused = [one for one in pictures if one.note]
     columns = min(COLUMNS, max(len(accepted), len(refused)))
     parts = []
     for panels, above in ((accepted, title), (refused, f"Refused: {len(refused)}")):
