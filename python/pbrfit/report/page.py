@@ -6,7 +6,6 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from html import escape
-from pathlib import Path
 
 from pbrfit.io.resampling import reduced_size
 from pbrfit.model.reflection import Model
@@ -17,14 +16,23 @@ from pbrfit.report import (
     lamps,
     maps,
     normals,
-    theme,
     transport,
     verdict,
     viewer,
 )
 from pbrfit.report import lights as of_lights
 from pbrfit.report import pictures as of_pictures
-from pbrfit.report.html import Cell, Table, document, heads, number, paragraph, table
+from pbrfit.report.html import (
+    THEME_BUTTON,
+    Cell,
+    Table,
+    document,
+    heads,
+    number,
+    paragraph,
+    table,
+    text_of,
+)
 from pbrfit.report.notation import angle, percent, plain
 from pbrfit.report.originals import Originals
 from pbrfit.report.pictures import Picture
@@ -153,14 +161,11 @@ def _document(result: Result, sections: Mapping[str, str]) -> str:
         ),
         "</main>",
     ]
-    here = Path(__file__).parent
-    style = (here / "style.css").read_text(encoding="utf-8")
-    script = (here / "enlarge.js").read_text(encoding="utf-8")
     return document(
         _title(result),
         "\n".join(body),
-        style=style,
-        script=script,
+        style=text_of("style.css"),
+        script=text_of("enlarge.js"),
         within=[viewer.script(result.model)],
         look="report",
     )
@@ -174,7 +179,7 @@ def _head(result: Result) -> str:
     if reduced := result.assumed.get("size"):
         notes.append(f"{max(result.mask.shape)} px fit: {escape(reduced)}.")
     told = f'<p class="told">{" ".join(filter(None, notes))}</p>'
-    return f"<header><h1>{escape(_title(result))}</h1>{verdicts}{theme.button()}{told}</header>"
+    return f"<header><h1>{escape(_title(result))}</h1>{verdicts}{THEME_BUTTON}{told}</header>"
 
 
 def _title(result: Result) -> str:

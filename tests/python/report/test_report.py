@@ -28,8 +28,8 @@ from pbrfit import InputError, Materials, Result, Scene, decompose
 from pbrfit.io.color import decode_srgb, encode_srgb
 from pbrfit.kernel import sh_basis
 from pbrfit.model.reflection import Model, render
-from pbrfit.report import budget, lights, originals, theme, write_report
-from pbrfit.report.html import document
+from pbrfit.report import budget, lights, originals, write_report
+from pbrfit.report.html import document, text_of
 from pbrfit.report.page import REFLECTION
 from pbrfit.report.verdict import CLASSES
 from pbrfit.result.advice import next_steps
@@ -182,7 +182,9 @@ def contrast(*colors: str) -> float:
 
 def test_colours_can_be_read_in_both_themes() -> None:
     """By WCAG 2.2: 1.4.3 for every text on every ground, 1.4.11 for the edges of controls."""
-    for colors in (theme.DARK, theme.LIGHT):
+    pairs = re.findall(r"--([a-z-]+): light-dark\((\S+), (\S+)\);", text_of("themes.css"))
+    for of in (1, 2):
+        colors = {one[0]: one[of] for one in pairs}
         for ground in (colors[name] for name in ("ground", "stage", "raised", "control")):
             for name in ("text", "quiet", "accent", "usable", "rough", "poor", "pass", "fail"):
                 assert contrast(colors[name], ground) >= 4.5, name
@@ -191,13 +193,14 @@ def test_colours_can_be_read_in_both_themes() -> None:
 
 
 def test_style_sheets_know_every_property_they_use() -> None:
-    folder_of_styles = Path(theme.__file__).parent
-    known = {*theme.DARK, *theme.SCALES, "w", "h", "share", "look", "filled"}
+    folder_of_styles = Path(budget.__file__).parent
+    known = set(re.findall(r"--([a-z0-9-]+):", text_of("themes.css")))
+    known |= {"w", "h", "share", "look", "filled"}
     for path in folder_of_styles.rglob("*.css"):
         used = set(re.findall(r"var\(--([a-z0-9-]+)\)", path.read_text("utf-8")))
         assert {name for name in used if not name.startswith("relight-")} <= known, path
         # Colours stand in the themes; black and white with their shadows are those of pictures.
-        if path.name != "viewer.css":
+        if path.name not in ("viewer.css", "themes.css"):
             assert not re.search(r"#[0-9a-f]{6}\b", path.read_text("utf-8")), path
 
 
