@@ -319,7 +319,7 @@ def test_a_scene_that_is_gone_is_said_and_its_pictures_are_not_shown(
 ) -> None:
     shutil.copytree(unfitted / "result", tmp_path / "result")
     found = written(Result.load(tmp_path / "result"), tmp_path / "page.html")
-    assert "The scene folder scene is no longer where it was." in found.text
+    assert "The scene folder scene is gone, has changed since, or cannot be read." in found.text
     assert len(caplog.records) == 1
     alts = [e.attributes["alt"] for e in found.all("img")]
     assert "Reconstruction of light_00" in alts
@@ -328,7 +328,7 @@ def test_a_scene_that_is_gone_is_said_and_its_pictures_are_not_shown(
     assert result.metrics["recon_rmse"] in found.values
     away = dataclasses.replace(known(result.source), path=Path("/gone/with \udcff"))  # no UTF-8
     odd = written(dataclasses.replace(result, source=away), tmp_path / "odd.html")
-    assert "The scene folder with \ufffd is no longer where it was." in odd.text
+    assert "The scene folder with \ufffd is gone, has changed since, or cannot be read." in odd.text
     unknown = dataclasses.replace(result, source=None)  # as of earlier versions
     found = written(unknown, tmp_path / "unknown.html")
     assert "The result does not say where its pictures are." in found.text
@@ -349,7 +349,7 @@ def test_a_scene_that_has_changed_is_not_taken_for_the_one_it_was(
     else:
         write_exr(scene / what, 0.9 * room().images[1])
     found = written(Result.load(tmp_path / "result"), tmp_path / "page.html")
-    assert "The scene folder scene has changed since" in found.text
+    assert "The scene folder scene is gone, has changed since" in found.text
     assert "Picture light_00" not in str(found.all("img"))
     assert "expected the scene that the result was made from" in caplog.text
 
@@ -375,7 +375,7 @@ def test_a_scene_that_may_not_be_looked_at_is_said(
     result = Result.load(unfitted / "result")
     monkeypatch.setattr(Path, "stat", closed)
     found = written(result, tmp_path / "page.html")
-    assert "The scene folder scene has changed since, or cannot be read." in found.text
+    assert "The scene folder scene is gone, has changed since, or cannot be read." in found.text
 
 
 def test_a_scene_can_be_named_or_given_as_arrays(unfitted: Path, tmp_path: Path) -> None:

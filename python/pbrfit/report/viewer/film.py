@@ -58,16 +58,14 @@ def of_scene(scene: Scene, whites: Sequence[float], limit: float) -> list[Tile]:
         address = f"data:image/jpeg;base64,{in_base64(buffer.getvalue())}"
         return Tile(address, exposure, original=True)
 
-    sides = budget.sides_for(max(scene.valid.shape), SIDES)
     # One picture out of the middle tells how large all will be.
-    middle = len(scene.images) // 2
-    best = budget.largest_that_fits(
-        lambda side: tile(middle, side),
-        lambda one: len(one.address) * len(scene.images),
-        sides,
-        limit,
+    count = len(scene.images)
+    _, (side, _) = budget.largest_that_fits(
+        lambda choice: tile(count // 2, choice[0]).address,
+        [one for one in budget.choices(max(scene.valid.shape), SIDES) if one[1]],
+        limit / count,
     )
-    return in_pieces(0, lambda i: tile(i, best.side), range(len(scene.images)))
+    return in_pieces(0, lambda i: tile(i, side), range(count))
 
 
 def of_lights(lighting: Lighting) -> list[Tile]:
