@@ -78,7 +78,8 @@ def examine(result: Result, scene: Scene | None, side: int) -> list[Picture]:
         coefficients = result.lighting[i]
         light, balls = lights.measure(coefficients), None
         if result.lamps is None:
-            balls = lights.pngs(coefficients, light, result.model)
+            drawn = lights.balls_and_panorama(coefficients, light, result.model)
+            balls = raster.picture_png(drawn[0]), raster.picture_png(drawn[1])
         rendered = relight(result, picture=i)
         small, about = raster.reduced(rendered, side), (result.pictures[i], light, balls)
         if scene is None:
