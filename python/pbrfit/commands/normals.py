@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.acquire.marigold import ENSEMBLE, NORMALS_MODEL
 from pbrfit.acquire.normals import HALF_WEIGHT, Normals, estimate, kind_of
-from pbrfit.acquire.photo import shown_to_network
 from pbrfit.commands import arguments as cli
 from pbrfit.commands import network_options as network
 from pbrfit.commands.progress import fit_steps
@@ -172,8 +171,7 @@ def _estimated(options: argparse.Namespace) -> tuple[Normals, str]:
     kind = kind_of(options.source)
     given = network.asked_for(options, FLAGS, kind)
     if kind == "marigold":
-        space = given.pop("color_space", None)
-        srgb8, what = shown_to_network(options.scene, given.pop("picture", None), space)
+        srgb8, what = network.shown(options.scene, given)
         total = given.get("ensemble", ENSEMBLE)
         with cli.progress_bar(total, quiet=options.quiet, unit="prediction") as bar:
             found = estimate(kind, srgb8, fov=0.0, progress=bar.update, **given)
@@ -184,7 +182,7 @@ def _estimated(options: argparse.Namespace) -> tuple[Normals, str]:
         return estimate(kind, blank, fov=0.0), "every surface faces the camera"
     path = options.source.removeprefix("depth:")
     if kind == "depth":
-        fov = reading.field_of_view(options.scene, ReadOptions(fov=given.pop("fov", None)))
+        fov = reading.read_surface(options.scene, ReadOptions(fov=given.pop("fov", None))).fov
         found = estimate(options.source, blank, fov=fov, **given)
         return found, f"from the depth in {path}, field of view {fov:g} degrees"
     convention = scene_folder.read_settings(options.scene / "scene.toml").convention

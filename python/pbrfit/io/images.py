@@ -10,7 +10,6 @@ import contextlib
 import hashlib
 import io
 import logging
-import math
 import operator
 import os
 import re
@@ -305,22 +304,16 @@ def read_stored(path: Path) -> NDArray[Any] | dict[str, NDArray[np.float32]]:
         turn = raster.orientation if header is None else header.orientation
         return exif.turned(raster.samples, turn)
     content = read_bytes(path, PICTURE_BYTES)  # a mapped file that shrinks would end the process
-    head = io.BytesIO(content)
     try:
         with exif.without_warnings():  # about headers of long ago
-            readers = {(1, 0): npy.read_array_header_1_0}  # later ones are alike but for names
-            read = readers.get(npy.read_magic(head), npy.read_array_header_2_0)
-            shape, by_columns, dtype = read(head)
-        if dtype.kind not in "uif" or any(type(size) is not int or size < 1 for size in shape):
-            raise ValueError(f"{dtype} of shape {shape}")
-        array = np.frombuffer(content, dtype, math.prod(shape), head.tell())
-    except MemoryError:
-        raise
+            array = np.load(io.BytesIO(content), allow_pickle=False)
+        if array.dtype.kind not in "uif" or not array.size:
+            raise ValueError(f"{array.dtype} of shape {array.shape}")
     except Exception as error:  # headers are Python expressions, and fail in all ways of these
         expected = "expected an array of real numbers in .npy"
         raise InputError(f"{path}: {expected}, found {shown(error)}") from None
     with np.errstate(all="ignore"):  # of more than 64 bits; infinity is no normal, and no depth
-        return array.reshape(shape, order="F" if by_columns else "C").astype(np.float64)
+        return np.asarray(array, np.float64)
 
 
 def write_exr(

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -26,7 +27,6 @@ from pbrfit.io.lamp_files import find_lamps
 from pbrfit.io.limits import AT_LEAST
 from pbrfit.io.normal_files import MIN_NORMAL_LENGTH, UNCERTAINTY, find_normals, read_normals
 from pbrfit.io.quoting import listed, quoted, shown
-from pbrfit.io.raw_files import RAW_SUFFIXES
 from pbrfit.io.resampling import at_centres, averaged, averaged_channels, reduced_size
 from pbrfit.io.weight_files import WEIGHT_FILE, read_weights, reduced
 from pbrfit.model import estimates as of_tools
@@ -106,8 +106,11 @@ class _Notes:
     def of(cls, scene: ScenePath | SceneFiles, options: ReadOptions, **changed: Any) -> _Notes:
         """Find the files of a scene; `changed` are options that count whatever is asked for."""
         files = scene if isinstance(scene, SceneFiles) else locate(scene)
-        if len(set(files.names)) != len(files.names):
-            raise InputError(f"{files.pictures[0].parent}: {_twice(files.pictures)}")
+        count = Counter(files.names)
+        if twice := [path.name for path in files.pictures if count[path.stem] > 1]:
+            found = f"{listed(twice)}: take others away, such as JPEG beside raw files"
+            parent = files.pictures[0].parent
+            raise InputError(f"{parent}: expected one picture a name, found {found}")
         settings = files.settings()
         notes = cls(files, options, settings, replace(options.or_else(settings), **changed))
         notes.has("scene.toml")
@@ -297,11 +300,6 @@ class Surface:
     segments: NDArray[np.uint16] | None
 
 
-def field_of_view(scene: ScenePath, options: ReadOptions = AS_STATED) -> float:
-    """That of whole pictures, as `load` decides, and raises; of pictures it reads the first."""
-    return _Notes.of(scene, options, crop=None).look_at_first()
-
-
 def read_surface(scene: ScenePath, options: ReadOptions = AS_STATED) -> Surface:
     """Read whole normals, mask and segments as `load`, and raise so; of pictures only the first."""
     notes = _Notes.of(scene, options, crop=None)
@@ -363,7 +361,7 @@ class Pictures:
         """Of the first picture that has one, 35 mm equivalent, millimetres."""
         self.curve_told = False
         """Whether somebody says of any picture by which curve its values are decoded."""
-        self.told: dict[str, dict[str, list[str]]] = {"color": {}, "encoding": {}, "remarks": {}}
+        self.told: dict[str, dict[str, list[str]]] = {"color": {}, "encoding": {}, "pictures": {}}
         """Names of files by what they say of a topic."""
         self.shared: dict[str, dict[str, list[str]]] = {}
         """Names of files by camera, exposure and the like, and by the value of each."""
@@ -410,7 +408,7 @@ class Pictures:
         self.focal_length = self.focal_length or picture.taken.focal_length_35mm
         self.curve_told |= picture.curve_told
         forms = () if picture.stored is None else (picture.stored.in_words(),)
-        topics = {"color": (picture.color,), "encoding": forms, "remarks": picture.notes}
+        topics = {"color": (picture.color,), "encoding": forms, "pictures": picture.notes}
         for topic, said in topics.items():
             for one in said:
                 self.told[topic].setdefault(one, []).append(path.name)
@@ -465,12 +463,11 @@ def _read_pictures(notes: _Notes, look: int | None = None) -> Pictures:
     for color, names_of in read.told["color"].items():
         alone = len(read.told["color"]) == 1
         notes.assumed["color" if alone else f"color of {', '.join(names_of)}"] = color
-    if forms := read.told["encoding"]:
-        notes.assumed["encoding"] = _in_words(forms)
-    if remarks := read.told["remarks"]:
-        notes.assumed["pictures"] = "; ".join(
-            f"{remark}: {listed(names)}" for remark, names in remarks.items()
-        )
+    for topic in ("encoding", "pictures"):
+        if told := read.told[topic]:
+            alone = topic == "encoding" and len(told) == 1
+            said = [one if alone else f"{one}: {listed(names)}" for one, names in told.items()]
+            notes.assumed[topic] = "; ".join(said)
     _compare_settings(read.shared, notes)
     if how.color_matrix is not None:
         rows = "; ".join(" ".join(map("{:.3f}".format, row)) for row in how.color_matrix)
@@ -511,20 +508,6 @@ def _product(factors: list[Weights | None], read: Pictures) -> Weights | None:
     return np.broadcast_to(math.prod(known), read.pixels.shape) if known else None
 
 
-def _twice(paths: Sequence[Path]) -> str:
-    """What is wrong with pictures of which some have the name of another."""
-    of_name: dict[str, list[str]] = {}
-    for path in paths:
-        of_name.setdefault(path.stem, []).append(path.name)
-    pairs = [files for files in of_name.values() if len(files) > 1]
-    said = f"expected one picture a name, found {' and '.join(map(shown, pairs[0]))}"
-    if len(pairs) > 1:
-        said += f", and {len(pairs) - 1} more such pair{'s' * (len(pairs) > 2)}"
-    raw = any(Path(name).suffix.lower() in RAW_SUFFIXES for name in pairs[0])
-    hint = "; raw files are linear light, read with pbrfit[raw]" * raw
-    return f"{said}: take one of them away{hint}"
-
-
 def _compare_settings(shared: dict[str, dict[str, list[str]]], notes: _Notes) -> None:
     """Say which pictures of a set were taken or stored otherwise than the others."""
     differing = {}
@@ -548,15 +531,6 @@ def _compare_settings(shared: dict[str, dict[str, list[str]]], notes: _Notes) ->
             "%s: expected one %s of all pictures, found %s: %s",
             *(notes.files.folder, what, differing[what], consequences[what]),
         )
-
-
-def _in_words(forms: dict[str, list[str]]) -> str:
-    """The forms of integer files, the most frequent first, and how many files have each."""
-    if len(forms) == 1:
-        return next(iter(forms))
-    often = sorted(forms, key=lambda form: -len(forms[form]))
-    more = f"; {len(often) - 3} other forms" if len(often) > 3 else ""
-    return "; ".join(f"{len(forms[form])} files {form}" for form in often[:3]) + more
 
 
 def _limits(
