@@ -13,6 +13,7 @@ from pbrfit._core import InputError
 from pbrfit.display.tone import encoded
 from pbrfit.io import images
 from pbrfit.io.color import ColorSpace
+from pbrfit.io.quoting import listed
 from pbrfit.io.resampling import averaged_channels, averaged_where, reduced_size
 from pbrfit.model.geometry import fov_from_focal_length
 from pbrfit.result.metrics import display, white_of
@@ -160,10 +161,7 @@ def shown_to_network(
     options = ReadOptions(color_space=color_space).or_else(files.settings())
     if picture is not None:
         if picture not in names:
-            raise InputError(
-                f"picture: expected one of {', '.join(names[:12])}"
-                f"{', ...' if len(names) > 12 else ''}, found {picture!r}"
-            )
+            raise InputError(f"picture: expected one of {listed(names)}, found {picture!r}")
         paths = (paths[names.index(picture)],)
     total: NDArray[np.float64] | None = None
     for path in paths:

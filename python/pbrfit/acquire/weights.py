@@ -13,9 +13,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from pbrfit._core import InputError
+from pbrfit.io.checks import one_of
 
 log = logging.getLogger("pbrfit")
 
@@ -90,13 +91,9 @@ def placement(
     Diffusion run in float16, whose numbers are eight times as fine. Raises InputError if an option
     is none of those there are, the device is not there, or there is nothing to offload from.
     """
-    for name, value, known in (
-        ("device", device, get_args(Device)),
-        ("dtype", dtype, get_args(Precision)),
-        ("offload", offload, get_args(Offload)),
-    ):
-        if value not in known:
-            raise InputError(f"{name}: expected one of {', '.join(known)}, found {value!r}")
+    one_of("device", device, Device)
+    one_of("dtype", dtype, Precision)
+    one_of("offload", offload, Offload)
     import torch
 
     there = {"cpu": True, "cuda": torch.cuda.is_available()}

@@ -6,7 +6,6 @@ A single scene has a table of its own, with verdicts; of several each has a row.
 from __future__ import annotations
 
 import json
-import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -18,7 +17,14 @@ from pbrfit.batch.driver import Attempt, repeat_log
 from pbrfit.batch.scenes import SceneOutcome, SceneTask, rmse_in_words
 from pbrfit.commands.messages import complain, in_flags, unread_is_no_failure
 from pbrfit.commands.progress import progress_bar
-from pbrfit.commands.terminal import DIM, columns_of, held_out_lines, marked, painted, verdict_lines
+from pbrfit.commands.terminal import (
+    DIM,
+    columns_of_stdout,
+    held_out_lines,
+    marked,
+    painted,
+    verdict_lines,
+)
 from pbrfit.io.quoting import shown
 from pbrfit.result.result import REPORT_FILE
 from pbrfit.result.verdict import LEVELS, PARAMETERS, Level, nothing_usable
@@ -163,14 +169,14 @@ def batch_table(rows: Sequence[Row], seconds: float) -> list[str]:
         return line("scene", "status", ("residual", "held out"), maps, "seconds")
 
     words: dict[Level, str] = {level: level for level in LEVELS}
-    of_level, columns = max(map(len, LEVELS)), columns_of(sys.stdout)
+    of_level, columns = max(map(len, LEVELS)), columns_of_stdout()
     if columns is not None and len(head(of_level)) > columns:
         words = {level: level.split()[0] for level in LEVELS}
         of_level = max(map(len, PARAMETERS)) - 2
-    lines = [painted(head(of_level), DIM, sys.stdout)]
+    lines = [painted(head(of_level), DIM)]
     for row in rows:
         levels = [
-            " ".join(marked(level, sys.stdout, f"{words[level]:<{of_level}}"))
+            " ".join(marked(level, f"{words[level]:<{of_level}}"))
             if level is not None
             else " " * (2 + of_level)
             for level in row.levels

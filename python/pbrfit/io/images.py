@@ -16,7 +16,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 from numpy.lib import format as npy
@@ -26,11 +26,12 @@ from pbrfit import _core
 from pbrfit._core import InputError
 from pbrfit.io import color as coding
 from pbrfit.io import exif, layers, radiance, raw_files
+from pbrfit.io.checks import one_of
 from pbrfit.io.color import ColorSpace, Conversion, Curve, Place, Primaries
 from pbrfit.io.file_noise import Stored, read_tables
 from pbrfit.io.input_files import PICTURE_BYTES, content_of, names_file, open_file, read_bytes
 from pbrfit.io.limits import AT_LEAST, AT_MOST, ORDINARY, Limits
-from pbrfit.io.quoting import quoted, shown
+from pbrfit.io.quoting import shown
 
 logger = logging.getLogger("pbrfit")
 
@@ -137,9 +138,7 @@ def read_picture(
     and columns are enough, two a pixel. Raises InputError if content or an argument is unusable.
     """
     asked = None if code_range is None else checked_codes(code_range)
-    if orientation not in (known := get_args(Orientation)):
-        expected = f"orientation: expected one of {', '.join(known)}"
-        raise InputError(f"{expected}, found {quoted(orientation)}")
+    one_of("orientation", orientation, Orientation)
     path = Path(path)
     file = file_of(path)
     page = int(path.stem.rpartition("_")[2]) - 1 if file != path else None

@@ -71,11 +71,11 @@ def unfit(path: Path | str, expected: str, error: Exception) -> InputError:
     return InputError(f"{path}: expected {expected}, found {type(error).__name__}: {shown(error)}")
 
 
-def number(value: Any, least: float = -math.inf, most: float = math.inf) -> float:
-    """Check a finite number from `least` to `most`."""
+def number(value: Any) -> float:
+    """Check a finite number."""
     found = float(_a(value, (int, float), "a number"))
-    if not (math.isfinite(found) and least <= found <= most):
-        raise ValueError(f"{value} in place of a finite number in [{least:g}, {most:g}]")
+    if not math.isfinite(found):
+        raise ValueError(f"{value} in place of a finite number")
     return found
 
 
@@ -84,10 +84,10 @@ def finite_or_null(numbers: Mapping[str, float]) -> dict[str, float | None]:
     return {k: float(v) if math.isfinite(v) else None for k, v in numbers.items()}
 
 
-def whole(value: Any, least: int = 0) -> int:
-    """Check a whole number, `least` or more."""
-    what = f"a whole number from {least} on"
-    if not least <= _a(value, int, what) <= MOST:
+def whole(value: Any) -> int:
+    """Check a whole number, 0 or more."""
+    what = "a whole number from 0 on"
+    if not 0 <= _a(value, int, what) <= MOST:
         raise ValueError(f"{quoted(value)} in place of {what}")
     return int(value)
 
@@ -113,11 +113,6 @@ def text(value: Any, errors: str = "strict") -> str:
 
 words = partial(text, errors="surrogateescape")
 """Check a text that need not be UTF-8: names of files are not on every system."""
-
-
-def texts(value: Any) -> tuple[str, ...]:
-    """Check a list of texts."""
-    return tuple(map(text, _a(value, list, "a list")))
 
 
 def table(value: Any) -> dict[str, Any]:

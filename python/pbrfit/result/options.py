@@ -13,7 +13,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from pbrfit._core import InputError
-from pbrfit.io.checks import of_what, real_number
+from pbrfit.io.checks import finite, of_what, one_of
 from pbrfit.model.reflection import MODELS, Model, checked_model, whole_number
 from pbrfit.result.refinement import CHOICES, RefineNormals
 
@@ -70,10 +70,7 @@ class Priors:
             value = getattr(self, name)
             if name in ("material", "monochrome") and value is None:
                 continue
-            weight = real_number(f"prior {name}", value, expected)
-            if not 0 <= weight < math.inf:
-                raise InputError(f"prior {name}: expected {expected}, found {value!r}")
-            object.__setattr__(self, name, weight)
+            object.__setattr__(self, name, finite(f"prior {name}", value, expected, 0.0))
 
     @property
     def material_strength(self) -> float:
@@ -204,7 +201,7 @@ class FitOptions:
             "transport",
             "light",
         ):
-            _check_choice(name, getattr(self, name))
+            one_of(name, getattr(self, name), FLAGS[name].values)
         self._keep(
             same_lamp=_flag("same_lamp", self.same_lamp),
             iterations=whole_number("iterations", self.iterations),
@@ -216,10 +213,7 @@ class FitOptions:
         if self.sh_order not in (2, 3):
             raise InputError(f"sh_order: expected 2 or 3, found {self.sh_order}")
         if self.time_limit is not None:
-            seconds = real_number("time_limit", self.time_limit, "seconds, 0 or more")
-            if not 0 <= seconds < math.inf:
-                raise InputError(f"time_limit: expected seconds, 0 or more, found {seconds}")
-            self._keep(time_limit=seconds)
+            self._keep(time_limit=finite("time_limit", self.time_limit, "seconds, 0 or more", 0.0))
         if self.metallic is not None:
             self._keep(metallic=unit_interval("metallic", self.metallic))
         if self.equal_exposures is not None:
@@ -288,10 +282,7 @@ FLAGS: dict[str, Flag] = {
 
 def unit_interval(name: str, value: Any) -> float:
     """Check a number in [0, 1]."""
-    number = real_number(name, value, "None or a number in [0, 1]")
-    if not 0 <= number <= 1:
-        raise InputError(f"{name}: expected None or a number in [0, 1], found {value!r}")
-    return number
+    return finite(name, value, "None or a number in [0, 1]", 0.0, 1.0)
 
 
 def _reference(white: Any) -> tuple[float, float, float]:
@@ -303,13 +294,6 @@ def _reference(white: Any) -> tuple[float, float, float]:
     if not (0 <= x < math.inf and 0 <= y < math.inf and 0 < value <= 1):
         raise InputError(f"white: expected {expected}, found {x:g},{y:g},{value:g}")
     return x, y, value
-
-
-def _check_choice(name: str, value: Any) -> None:
-    """Raise InputError unless the value of an option is one that its flag takes."""
-    values = tuple(FLAGS[name].values or ())
-    if not isinstance(value, str) or value not in values:
-        raise InputError(f"{name}: expected one of {', '.join(values)}, found {of_what(value)}")
 
 
 def _flag(name: str, value: Any) -> bool:

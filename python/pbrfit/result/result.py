@@ -22,7 +22,6 @@ from pbrfit.io.json_files import (
     read_as,
     read_json,
     table,
-    texts,
     unfit,
     whole,
     write_json,
@@ -328,7 +327,7 @@ def _source(content: Mapping[str, Any], folder: Path) -> Source:
     return Source(
         path=(folder / path_text(content["path"])).resolve(),
         options=ReadOptions.from_json(content),
-        files=texts(content["files"]),
+        files=read_as(tuple[str, ...], content["files"]),
     )
 
 

@@ -26,6 +26,7 @@ from pbrfit.acquire.prompts import Catalogue
 from pbrfit.acquire.received import read_srgb8
 from pbrfit.acquire.weights import need
 from pbrfit.io import images
+from pbrfit.io.checks import one_of
 from pbrfit.io.quoting import listed, shown
 
 if TYPE_CHECKING:
@@ -65,10 +66,7 @@ class GptImage:
     retries = True
 
     def __post_init__(self) -> None:
-        if self.quality not in QUALITIES:
-            raise InputError(
-                f"quality: expected one of {', '.join(QUALITIES)}, found {self.quality!r}"
-            )
+        one_of("quality", self.quality, QUALITIES)
 
     def settings(self) -> dict[str, Any]:
         """What decides about the pictures."""
