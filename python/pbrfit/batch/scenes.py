@@ -37,7 +37,8 @@ than was predicted for scenes of 16² to 128², and 40 more as dask's workers.""
 NO_SCENES = re.compile(r"\..*|(flat|truth|lost\+found)$")
 """Names of folders in a folder that are no scenes; nobody may look into that of the file system."""
 
-LOOK_EVERY = 0.2  # seconds after which a worker looks whether its scene is still wanted
+LOOK_EVERY = 0.2
+"""Seconds after which a worker looks whether its scene is still wanted."""
 
 
 @dataclass(frozen=True)
