@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from pbrfit.display.tone import encoded
+from pbrfit.display.tone import codes, encoded
 from pbrfit.io.images import encode_png
 
 SIDE = 128
@@ -59,10 +59,7 @@ def figure(
     name: str, values: NDArray[np.floating[Any]], side: int, caption: str, before: str = ""
 ) -> str:
     """Values in [0, 1], (H, W, 1 or 3), clear where NaN, above HTML and a caption."""
-    inside = np.isfinite(values).all(axis=-1, keepdims=True)
-    shades = np.broadcast_to(np.where(inside, np.clip(values, 0, 1), 0), (*inside.shape[:2], 3))
-    codes = np.rint(255 * np.concatenate([shades, inside], axis=-1)).astype(np.uint8)
-    small = Image.fromarray(codes)
+    small = Image.fromarray(codes(np.broadcast_to(values, (*values.shape[:2], 3))))
     small.thumbnail((side, side), Image.Resampling.BOX)
     png = base64.b64encode(encode_png(np.asarray(small), "srgb")).decode("ascii")
     style = "width:100%;image-rendering:pixelated;outline:1px solid #8886"  # an edge around black

@@ -30,6 +30,16 @@ def encoded(
     return encode_srgb(np.clip(shown, 0.0, 1.0))
 
 
+def codes(shown: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
+    """Values in [0, 1], (H, W) or (H, W, 3), as 8-bit codes (H, W, C); alpha is 0 where NaN is."""
+    shown = np.atleast_3d(shown)
+    outside = over_channels(np.logical_or, np.isnan(shown))
+    found = np.rint(255 * np.where(outside[..., None], 0.0, np.clip(shown, 0.0, 1.0)))
+    if outside.any():
+        found = np.dstack([found, np.where(outside, 0, 255)])
+    return np.asarray(found, np.uint8)
+
+
 def neutral(radiance: NDArray[np.float64]) -> NDArray[np.float64]:
     """Compress highlights and keep colours below 0.8 as they are; (..., 3), 0 or more.
 

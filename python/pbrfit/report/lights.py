@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.display.tone import encoded
 from pbrfit.model import panorama
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model, render
@@ -82,7 +83,7 @@ def balls_and_panorama(
     """
     radiance = panorama.radiance(coefficients, PANORAMA_HEIGHT)
     white = metrics.white_of(radiance)
-    shown = metrics.display(radiance, white)
+    shown = encoded(radiance / white)
     rows, columns = np.indices(radiance.shape[:2])
     hatching = np.where((rows + columns) % HATCH < 2, 0.6, 0.1)
     dark = radiance @ LUMINANCE < 0
@@ -96,7 +97,7 @@ def balls_and_panorama(
     roughness = np.where(mirror > 0, MIRROR_ROUGHNESS, 1.0)
     materials = Materials(np.ones(normals.shape), roughness, mirror)
     balls = render(materials, normals, coefficients, 0.0, model=model)
-    return metrics.display(balls, white), shown
+    return encoded(balls / white), shown
 
 
 def _ring(shown: NDArray[np.float64], light: Light) -> None:

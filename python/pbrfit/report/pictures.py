@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.display.tone import encoded
 from pbrfit.report import lights, raster
 from pbrfit.report.html import Cell, Table, heads, number
 from pbrfit.report.lights import Light
@@ -62,7 +63,7 @@ class Picture:
     def pngs(self, side: int) -> list[bytes]:
         """At a longer side: picture, reconstruction and residual, or only the second."""
         found = [
-            raster.picture_png(metrics.display(raster.reduced(one, side), self.white))
+            raster.picture_png(encoded(raster.reduced(one, side) / self.white))
             for one in self.radiance
         ]
         if self.residual is not None:

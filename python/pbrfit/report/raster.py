@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from pbrfit.io.color import over_channels
+from pbrfit.display.tone import codes
 from pbrfit.io.resampling import averaged, averaged_channels, averaged_where, reduced_size
 from pbrfit.result.differences import OUTSIDE, PALETTE, Difference
 
@@ -53,13 +53,8 @@ def reduced_difference(difference: Difference, side: int) -> Difference:
 
 def picture_png(encoded: Values) -> bytes:
     """(H, W) or (H, W, 3) as it goes to the screen; transparent where it is NaN."""
-    unknown = np.isnan(encoded)
-    outside = unknown if encoded.ndim == 2 else over_channels(np.logical_or, unknown)
-    codes = np.rint(255 * np.where(unknown, 0.0, np.clip(encoded, 0.0, 1.0))).astype(np.uint8)
-    if not outside.any():
-        return _png(Image.fromarray(codes))
-    alpha = np.where(outside, 0, 255).astype(np.uint8)
-    return _png(Image.fromarray(np.dstack([codes, alpha])))
+    found = codes(encoded)
+    return _png(Image.fromarray(found[..., 0] if found.shape[-1] == 1 else found))
 
 
 def difference_png(difference: Difference) -> bytes:

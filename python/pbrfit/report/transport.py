@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.display.tone import encoded
 from pbrfit.io.resampling import reduced_size
 from pbrfit.report import figures, raster
 from pbrfit.report.html import Cell, Table, number, paragraph, table
@@ -119,7 +120,7 @@ def _pair(
     size = reduced_size(result.mask.shape, SIDE)
     found = []
     for picture, how in ((among, "with surroundings"), (without, "without")):
-        png = raster.picture_png(metrics.display(raster.reduced(picture, SIDE), white))
+        png = raster.picture_png(encoded(raster.reduced(picture, SIDE) / white))
         shown = figures.picture(png, size, f"Relit by {name}, {how}")
         found.append(figures.figure(shown, how, name))
     return found

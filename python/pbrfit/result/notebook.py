@@ -5,7 +5,7 @@ from __future__ import annotations
 from html import escape
 
 from pbrfit.display.notebook import figure, page
-from pbrfit.result import metrics
+from pbrfit.display.tone import encoded
 from pbrfit.result.advice import next_steps
 from pbrfit.result.data import ResultData
 from pbrfit.result.verdict import MARKS, in_short
@@ -25,7 +25,7 @@ def html(result: ResultData) -> str:
     if "recon_rmse" in result.metrics:
         facts.append(f"residual {result.metrics['recon_rmse']:.2g}")
     maps = {
-        "albedo": metrics.display(result.albedo, 1.0),
+        "albedo": encoded(result.albedo),
         "roughness": result.roughness,
         "metallic": result.metallic,
         "normals": 0.5 + 0.5 * result.normals,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from pbrfit.result import metrics
+from pbrfit.display.tone import encoded
 from pbrfit.result.verdict import Mark
 
 PANEL_SIDE = (192, 384)
@@ -192,7 +192,7 @@ def _ink(color: NDArray[np.floating[Any]] | tuple[float, float, float]) -> tuple
 
 def displayed(linear: NDArray[np.floating[Any]], white: float = 1.0) -> NDArray[np.floating[Any]]:
     """Linear radiance (H, W, 3) as it goes to the screen; NaN becomes grey."""
-    return outside_grey(metrics.display(linear, white))
+    return outside_grey(encoded(linear / white))
 
 
 def outside_grey(values: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:

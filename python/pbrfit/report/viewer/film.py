@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image
 
-from pbrfit.display.tone import encoded
+from pbrfit.display.tone import codes, encoded
 from pbrfit.report import budget
 from pbrfit.report.html import in_base64, png_address
 from pbrfit.report.raster import picture_png, reduced
@@ -52,9 +52,8 @@ def of_scene(scene: Scene, whites: Sequence[float], limit: float) -> list[Tile]:
         shown = encoded(reduced(finite, side), exposure, "neutral")
         if max(shown.shape) <= LOSSLESS_SIDE:
             return Tile(png_address(picture_png(shown)), exposure, original=True)
-        codes = np.rint(255 * shown).astype(np.uint8)
         buffer = io.BytesIO()
-        Image.fromarray(codes).save(buffer, "JPEG", quality=QUALITY, subsampling=0)
+        Image.fromarray(codes(shown)).save(buffer, "JPEG", quality=QUALITY, subsampling=0)
         address = f"data:image/jpeg;base64,{in_base64(buffer.getvalue())}"
         return Tile(address, exposure, original=True)
 
