@@ -23,9 +23,6 @@ SIDE = 128
 PICTURES_MAX = 24
 """Pictures that are shown: three rows in a notebook."""
 
-SHOWN_MEAN = 0.2
-"""Radiance of the screen, 1 being white, at which the mean of all pictures is shown."""
-
 
 def pictures(
     images: NDArray[np.floating[Any]],
@@ -38,8 +35,8 @@ def pictures(
     step = -(-max(valid.shape) // (2 * SIDE))
     few = np.array(images[:PICTURES_MAX, ::step, ::step])
     few[:, ~valid[::step, ::step]] = np.nan
-    mean = float(np.nanmean(few)) if np.isfinite(few).any() else 0.0
-    shown = encoded(few * (SHOWN_MEAN / mean if mean > 0 else 1.0))
+    white = float(np.nanpercentile(few, 98)) if np.isfinite(few).any() else 0.0
+    shown = encoded(few / (white if white > 0 else 1.0))
     figures = [figure(name, one, SIDE, name) for name, one in zip(names, shown, strict=False)]
     more = [f"{len(names) - len(few)} more pictures"] * (len(names) > len(few))
     return page([*facts, *more], figures)
@@ -55,10 +52,8 @@ def page(facts: Sequence[str], figures: Sequence[str], below: str = "") -> str:
     )
 
 
-def figure(
-    name: str, values: NDArray[np.floating[Any]], side: int, caption: str, before: str = ""
-) -> str:
-    """Values in [0, 1], (H, W, 1 or 3), clear where NaN, above HTML and a caption."""
+def figure(name: str, values: NDArray[np.floating[Any]], side: int, caption: str) -> str:
+    """Values in [0, 1], (H, W, 1 or 3), clear where NaN, above a caption."""
     small = Image.fromarray(codes(np.broadcast_to(values, (*values.shape[:2], 3))))
     small.thumbnail((side, side), Image.Resampling.BOX)
     png = base64.b64encode(encode_png(np.asarray(small), "srgb")).decode("ascii")
@@ -66,5 +61,5 @@ def figure(
     return (
         f'<figure style="margin:0;width:{side}px"><img alt="{escape(name)}" '
         f'src="data:image/png;base64,{png}" style="{style}">'
-        f"<figcaption>{before}{escape(caption)}</figcaption></figure>"
+        f"<figcaption>{escape(caption)}</figcaption></figure>"
     )

@@ -32,13 +32,10 @@ def html(result: ResultData) -> str:
     }
     figures = []
     for name, values in maps.items():
-        mark, caption = "", name
-        if name in result.verdicts:
-            found = MARKS[result.verdicts[name].level]
-            color = f"rgb({','.join(map(str, found.ink))})"
-            mark = f'<span style="color:{color}">{found.sign}</span> '
-            caption = in_short(name, result.verdicts[name])
-        figures.append(figure(name, values.reshape(height, width, -1), SIDE, caption, mark))
+        caption = name
+        if (verdict := result.verdicts.get(name)) is not None:
+            caption = f"{MARKS[verdict.level].sign} {in_short(name, verdict)}"
+        figures.append(figure(name, values.reshape(height, width, -1), SIDE, caption))
     lines = ["; ".join(facts)]
     if result.held_out is not None:
         lines.append(result.held_out.in_words())
