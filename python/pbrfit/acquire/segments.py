@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.acquire import weights
-from pbrfit.acquire.normals.files import check_reducible, check_source
+from pbrfit.acquire.normals import check_reducible
 from pbrfit.io import images
 from pbrfit.io.resampling import at_centres
 from pbrfit.scene.folder import MAX_ID
@@ -41,7 +41,6 @@ def segment(
     if source == "sam2":
         return by_sam2(srgb8, **options)
     path = Path(source)
-    check_source("segments", source, "sam2 or a file")
     ids = images.read_ids(path)
     height, width = srgb8.shape[:2]
     check_reducible(path, ids.shape, (height, width))

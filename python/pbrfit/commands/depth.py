@@ -8,7 +8,8 @@ import shlex
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.acquire.depth import depth_anything, estimate
+from pbrfit.acquire import depth_anything
+from pbrfit.acquire.depth import estimate
 from pbrfit.acquire.marigold import DEPTH_MODEL, ENSEMBLE
 from pbrfit.commands import arguments as cli
 from pbrfit.commands import network_options as network
