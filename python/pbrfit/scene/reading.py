@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import math
 from collections import Counter
-from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -22,7 +21,7 @@ from pbrfit.io import images
 from pbrfit.io.color import Place
 from pbrfit.io.depth_files import METRES, find_depth, read_depth
 from pbrfit.io.file_noise import FileNoise
-from pbrfit.io.input_files import digest, there
+from pbrfit.io.input_files import there
 from pbrfit.io.lamp_files import find_lamps
 from pbrfit.io.limits import AT_LEAST
 from pbrfit.io.normal_files import MIN_NORMAL_LENGTH, UNCERTAINTY, find_normals, read_normals
@@ -53,10 +52,10 @@ from pbrfit.scene.folder import (
     SEGMENT_FILE,
     SceneFiles,
     ScenePath,
+    digests,
     find_flats,
     find_frame,
     locate,
-    truth_files,
     warn_of_near_misses,
 )
 from pbrfit.scene.options import AS_STATED, ReadOptions, Settings, Source
@@ -97,8 +96,8 @@ class _Notes:
     """What is asked for, else what the folder says."""
     size: tuple[int, int] = (0, 0)
     """(height, width) of whole pictures, and so of every map beside them."""
-    inputs: dict[str, str] = field(default_factory=dict)
-    """As `Scene.inputs`."""
+    read: dict[str, str] = field(default_factory=dict)
+    """sha256 of pictures, as in `Scene.inputs`."""
     assumed: dict[str, str] = field(default_factory=dict)
     """As `Scene.assumed`."""
 
@@ -113,24 +112,14 @@ class _Notes:
             raise InputError(f"{parent}: expected one picture a name, found {found}")
         settings = files.settings()
         notes = cls(files, options, settings, replace(options.or_else(settings), **changed))
-        notes.has("scene.toml")
         if files.said:
             notes.assumed["layout"] = f"pictures: {files.said}"
         return notes
 
-    def has(self, name: str) -> bool:
-        """Whether there is a part of that name; if so, it is an input."""
+    def part(self, name: str) -> Path | None:
+        """The file of that name, where there is one and it belongs to the pictures."""
         path = self.files.folder / name
-        if self.files.parts and there(path):
-            self.inputs[name] = digest(path)
-        return name in self.inputs
-
-    def part(self, finder: Callable[[Path], Path | None]) -> Path | None:
-        """The part that a function finds; if there is one, it is an input."""
-        path = self.files.find(finder)
-        if path is not None:
-            self.has(self.files.relative(path))
-        return path
+        return path if self.files.parts and there(path) else None
 
     def window(self, path: Path, size: tuple[int, ...]) -> tuple[slice, slice]:
         """Rows and columns that are used of a map; InputError unless it has the pictures' size."""
@@ -233,15 +222,12 @@ def load(
     weights = _product(factors, read)
 
     lighting = None
-    if notes.has("lighting.json"):
-        lighting_path = folder / "lighting.json"
+    if lighting_path := notes.part("lighting.json"):
         lighting = Lighting.load(lighting_path).of(names, lighting_path)
         assumed["lighting"] = "known, from lighting.json"
 
     lamps = None
     if of_lamps := files.find(find_lamps):
-        for path in of_lamps:
-            notes.has(files.relative(path))
         lamps, assumed["lamps"] = known_lamps.load(of_lamps[0], names)
 
     fov, fov_known, assumed["fov"] = notes.decided_fov(read.focal_length)
@@ -253,8 +239,6 @@ def load(
     truth = None
     if files.parts:
         truth = _read_truth(folder / "truth", names, size if full_size == notes.size else (0, 0))
-        for path in truth_files(folder):
-            notes.has(files.relative(path))
     named = tuple(map(files.relative, files.pictures)) if files.named else ()
     kept = read.different(notes)
     try:
@@ -276,7 +260,7 @@ def load(
             names=names,
             truth=truth,
             assumed=assumed,
-            inputs=dict(sorted(notes.inputs.items())),
+            inputs=digests(files, notes.read),
             source=Source(folder.resolve(), options, named, full_size, fitted if look else None),
             model=model,
             response=None if read.curve_told or changed or notes.how.color_matrix else "srgb",
@@ -414,7 +398,7 @@ class Pictures:
                 self.told[topic].setdefault(one, []).append(path.name)
         for what, value in picture.taken.settings.items():
             self.shared.setdefault(what, {}).setdefault(value, []).append(path.name)
-        self._notes.inputs[self._notes.files.relative(path)] = picture.sha256
+        self._notes.read[self._notes.files.relative(path)] = picture.sha256
 
     def different(self, notes: _Notes) -> list[int]:
         """The first of each group of pictures that are equal, to the bit; others are told."""
@@ -581,7 +565,7 @@ class _Frame:
 
 
 def _read_dark(notes: _Notes) -> _Frame | None:
-    path = notes.part(partial(find_frame, name=DARK_FRAME))
+    path = notes.files.find(partial(find_frame, name=DARK_FRAME))
     return None if path is None else _read_frame(notes, path)
 
 
@@ -613,8 +597,6 @@ def _calibrate(
     if not paths:
         return None
     names = notes.files.names
-    for path in paths:
-        notes.has(notes.files.relative(path))
     of_name = {path.stem: path for path in paths}
     if paths[0].parent == notes.files.folder:
         of_name, said = dict.fromkeys(names, paths[0]), paths[0].name
@@ -690,9 +672,9 @@ def _subtract(
 
 def _read_weights(notes: _Notes, mask: NDArray[np.bool_]) -> Weights | None:
     """`weights.exr` (1 or N, H, W, 1 or 3) at the working size, that of `mask`; 0 outside it."""
-    if not notes.has(WEIGHT_FILE):
+    path = notes.part(WEIGHT_FILE)
+    if path is None:
         return None
-    path = notes.files.folder / WEIGHT_FILE
     stored = read_weights(path, notes.files.names)
     stored = stored[(..., *notes.window(path, stored.shape[-3:-1]), slice(None))]
     weights = stored if mask.shape == stored.shape[-3:-1] else reduced(stored, mask.shape)
@@ -713,9 +695,9 @@ def _read_weights(notes: _Notes, mask: NDArray[np.bool_]) -> Weights | None:
 
 
 def _read_mask(notes: _Notes) -> NDArray[np.bool_]:
-    if not notes.has("mask.png"):
+    path = notes.part("mask.png")
+    if path is None:
         return np.ones(notes.size, dtype=bool)[notes.how.window(notes.size)]
-    path = notes.files.folder / "mask.png"
     drawn = images.read_data(path)
     drawn = drawn[notes.window(path, drawn.shape[:2])]
     colors = drawn[..., : 3 if drawn.shape[-1] >= 3 else 1]
@@ -737,15 +719,16 @@ def _read_mask(notes: _Notes) -> NDArray[np.bool_]:
 
 
 def _read_segments(notes: _Notes) -> NDArray[np.uint16] | None:
-    if not notes.has(SEGMENT_FILE):
+    path = notes.part(SEGMENT_FILE)
+    if path is None:
         return None
-    segments = images.read_ids(notes.files.folder / SEGMENT_FILE)
-    return segments[notes.window(notes.files.folder / SEGMENT_FILE, segments.shape)]
+    segments = images.read_ids(path)
+    return segments[notes.window(path, segments.shape)]
 
 
 def _read_depth(notes: _Notes) -> scene_depth.Depth | None:
     """Distances along the camera's axis, NaN where there is none."""
-    path = notes.part(find_depth)
+    path = notes.files.find(find_depth)
     if path is None:
         return None
     stored, how = read_depth(path, METRES[notes.how.depth_unit or "m"], own=True)
@@ -761,9 +744,9 @@ def _read_depth(notes: _Notes) -> scene_depth.Depth | None:
 
 def _read_estimates(notes: _Notes) -> Materials | None:
     """Maps of materials that another tool estimated."""
-    if not notes.has(of_tools.ESTIMATES_FILE):
+    path = notes.part(of_tools.ESTIMATES_FILE)
+    if path is None:
         return None
-    path = notes.files.folder / of_tools.ESTIMATES_FILE
     found = of_tools.read(path)
     rows, columns = notes.window(path, found.roughness.shape)
     notes.assumed["estimates"] = f"{listed(of_tools.known_maps(found))} from {path.name}"
@@ -812,7 +795,6 @@ def _read_normals(
     if len(found) == 2:
         raise InputError(f"{folder}: expected normals.exr or normals.png, found both")
     [path] = found
-    notes.has(path.name)
     window = notes.how.window(notes.size)
     whole: NDArray[np.bool_] = np.zeros(notes.size, bool)
     whole[window] = mask
