@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from pbrfit.acquire.journal import FOLDER, Journal
 from pbrfit.acquire.photo import Photo
 from pbrfit.acquire.rounds import Attempt, Picture
-from pbrfit.io.json_files import finite_or_null
+from pbrfit.io.json_files import as_json
 from pbrfit.result.sheet import OUTSIDE, Panel, sheet
 
 if TYPE_CHECKING:
-    from pbrfit.acquire.review import Check
+    pass
 
 FILE, SHEET = "review.json", "review.png"
 
@@ -160,14 +160,10 @@ def _attempt(attempt: Attempt) -> dict[str, Any]:
         "received": None if entry.refused else f"{FOLDER}/{entry.stem}.png",
         "accepted": not attempt.reason,
         "reason": attempt.reason,
-        "checks": [_check(check) for check in attempt.checks],
-        "together": [_check(check) for check in attempt.together],
+        "checks": as_json(attempt.checks),
+        "together": as_json(attempt.together),
         "record": entry.record,
     }
-
-
-def _check(check: Check) -> dict[str, Any]:
-    return asdict(check) | finite_or_null({"value": check.value, "bound": check.bound})
 
 
 def _summed(usages: Iterable[Any]) -> dict[str, Any] | None:

@@ -10,7 +10,7 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 from pbrfit.batch.driver import Attempt, repeat_log
@@ -25,6 +25,7 @@ from pbrfit.commands.terminal import (
     painted,
     verdict_lines,
 )
+from pbrfit.io.json_files import as_json
 from pbrfit.io.quoting import shown
 from pbrfit.result.result import REPORT_FILE
 from pbrfit.result.verdict import LEVELS, PARAMETERS, Level, nothing_usable
@@ -144,9 +145,9 @@ def _as_json(task: SceneTask, attempt: Attempt[SceneOutcome]) -> str:
     facts = ("peak_bytes", "stop_reason", "iterations")  # null of scenes that failed
     line |= {name: getattr(outcome, name, None) for name in facts}
     held_out, verdicts = getattr(outcome, "held_out", None), getattr(outcome, "verdicts", {})
-    line["held_out"] = None if held_out is None else asdict(held_out)
+    line["held_out"] = as_json(held_out)
     line["metrics"] = dict(getattr(outcome, "metrics", {}))
-    line["verdicts"] = {name: asdict(one) for name, one in verdicts.items()}
+    line["verdicts"] = as_json(verdicts)
     return json.dumps(line)
 
 

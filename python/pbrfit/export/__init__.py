@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +32,7 @@ from pbrfit.export.maps import Bits, Maps, NormalConvention
 from pbrfit.export.presets import Format, Plan, PresetName, plan
 from pbrfit.export.view_mesh import Geometry
 from pbrfit.io import images
-from pbrfit.io.json_files import UNFIT, path_text, read_json, write_json
+from pbrfit.io.json_files import UNFIT, as_json, path_text, read_json, write_json
 from pbrfit.io.output import FolderForm, new_folder
 from pbrfit.model.materials import write_materials
 from pbrfit.result.result import Result
@@ -269,7 +269,7 @@ def _write_manifest(
         ],
     }
     if result.uncertainty is not None:
-        content["verdicts"] = {name: asdict(one) for name, one in result.verdicts.items()}
+        content["verdicts"] = as_json(result.verdicts)
     if displacement is not None:
         content["displacement"] = displacement.as_json()
     write_json(path, content)

@@ -79,11 +79,6 @@ def number(value: Any) -> float:
     return found
 
 
-def finite_or_null(numbers: Mapping[str, float]) -> dict[str, float | None]:
-    """Infinite numbers and NaN, which JSON has no number for, become null."""
-    return {k: float(v) if math.isfinite(v) else None for k, v in numbers.items()}
-
-
 def whole(value: Any) -> int:
     """Check a whole number, 0 or more."""
     what = "a whole number from 0 on"
@@ -120,8 +115,18 @@ def table(value: Any) -> dict[str, Any]:
     return {text(key): entry for key, entry in _a(value, Mapping, "an object").items()}
 
 
+def as_json(value: Any) -> Any:
+    """What JSON can hold of a value: dataclasses are objects, NaN and infinite numbers null."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if is_dataclass(value) or isinstance(value, Mapping):
+        named = value if isinstance(value, Mapping) else vars(value)
+        return {name: as_json(of) for name, of in named.items()}
+    return list(map(as_json, value)) if isinstance(value, (list, tuple)) else value
+
+
 def read_as(kind: Any, value: Any) -> Any:
-    """A value as a type, as annotations name it: undoes `dataclasses.asdict`.
+    """A value as a type, as annotations name it: undoes `as_json`.
 
     A dataclass is an object of its fields and no others; null among numbers by name is NaN.
     """

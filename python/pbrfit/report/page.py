@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from html import escape
 
 import numpy as np
 
+from pbrfit.io.json_files import as_json
 from pbrfit.io.resampling import reduced_size
 from pbrfit.model.reflection import Model
 from pbrfit.report import (
@@ -320,7 +320,7 @@ def _origin(result: Result) -> str:
     if result.left_out:
         items = "".join(f"<li>{escape(line)}</li>" for line in result.left_out)
         parts.append(f"<h3>Left out</h3><ul>{items}</ul>")
-    options = {name: json.dumps(value) for name, value in asdict(result.options).items()}
+    options = {name: json.dumps(value) for name, value in as_json(result.options).items()}
     parts.append(_folded("Options", _list(options)))
     if result.inputs:
         rows = [(Cell(name), Cell(digest, "hash")) for name, digest in result.inputs.items()]

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import inspect
-import json
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
-from typing import Any, Literal, get_args
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from pbrfit._core import InputError
 from pbrfit.io.checks import finite, of_what, one_of
 from pbrfit.model.reflection import MODELS, Model, checked_model, whole_number
-from pbrfit.result.refinement import CHOICES, RefineNormals
+from pbrfit.result.refinement import RefineNormals
 
 Solver = Literal["gauss-newton", "lbfgsb"]
 SOLVERS: tuple[Solver, ...] = get_args(Solver)
@@ -192,23 +191,15 @@ class FitOptions:
     uncertainty: bool = True
 
     def __post_init__(self) -> None:
-        for name in (
-            "solver",
-            "robust",
-            "response",
-            "refine_normals",
-            "align",
-            "transport",
-            "light",
-        ):
-            one_of(name, getattr(self, name), FLAGS[name].values)
+        for name, kind in KINDS.items():
+            if get_origin(kind) is Literal:
+                one_of(name, getattr(self, name), kind)
+            elif kind is bool:
+                self._keep(**{name: _flag(name, getattr(self, name))})
         self._keep(
-            same_lamp=_flag("same_lamp", self.same_lamp),
             iterations=whole_number("iterations", self.iterations),
             sh_order=whole_number("sh_order", self.sh_order),
             priors=Priors.none() if self.priors is None else self.priors,
-            mono_light=_flag("mono_light", self.mono_light),
-            uncertainty=_flag("uncertainty", self.uncertainty),
         )
         if self.sh_order not in (2, 3):
             raise InputError(f"sh_order: expected 2 or 3, found {self.sh_order}")
@@ -236,10 +227,9 @@ class FitOptions:
                     f"{self.solver}"
                 )
 
-    def to_json(self) -> dict[str, Any]:
-        """What `result.json` holds under `options`."""
-        values: dict[str, Any] = json.loads(json.dumps(asdict(self)))
-        return values
+
+KINDS = get_type_hints(FitOptions)
+"""Types of the options by name."""
 
 
 def attributes_of(options: type) -> str:
@@ -254,28 +244,24 @@ def described(options: type) -> dict[str, str]:
     return {name: " ".join(re.sub(r'`"?|"?`', "", text).split()) for name, text in parts}
 
 
-FLAGS: dict[str, Flag] = {
-    "solver": Flag(values=SOLVERS),
+_OWN_WAYS = {
     "iterations": Flag(metavar="K"),
     "time_limit": Flag(kind=float, metavar="S"),
     "sh_order": Flag(values=(2, 3)),
     "metallic": Flag("0: metallic is 0 and not fitted", values={"free": None, "0": 0.0}),
-    "robust": Flag(values=get_args(Loss)),
-    "response": Flag(values=get_args(Response)),
     "equal_exposures": Flag(
         "equal: pictures are divided by their mean radiance, so that bright ones do not outweigh "
         "dark ones; as-is: they are not; auto: where one has more than 4 times the mean of another",
         name="exposures",
         values={"auto": None, "as-is": False, "equal": True},
     ),
-    "mono_light": Flag(kind=bool),
-    "refine_normals": Flag(values=CHOICES),
-    "align": Flag(values=get_args(Align)),
-    "transport": Flag(values=get_args(TransportChoice)),
-    "light": Flag(values=get_args(LightChoice)),
-    "same_lamp": Flag(kind=bool),
     "white": Flag(kind=lambda text: text.split(","), metavar="X,Y[,ALBEDO]"),
     "model": Flag(values=MODELS),
+}
+FLAGS = {
+    name: _OWN_WAYS.get(name) or Flag(values=get_args(kind) or None, kind=kind)
+    for name, kind in KINDS.items()
+    if name not in ("priors", "uncertainty")
 }
 """Options that have a flag, by the names of the fields; priors have flags of their own."""
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
@@ -16,7 +15,7 @@ from pbrfit.io import images
 from pbrfit.io.input_files import digest
 from pbrfit.io.json_files import (
     UNFIT,
-    finite_or_null,
+    as_json,
     number,
     path_text,
     read_as,
@@ -122,26 +121,13 @@ class Result(ResultData):
         images.write_png(folder / "preview.png", preview(self, scene), tag="srgb")
         content = {
             "version": version("pbrfit"),
-            "status": str(self.status),
-            "stop_reason": self.stop_reason,
-            "fov": self.fov,
             "model": self.model,
             "iterations": self.history.iterations,
-            "evaluations": self.evaluations,
-            "seconds": self.seconds,
             "protocol": PROTOCOL,
-            "metrics": dict(self.metrics),
+            **{name: as_json(getattr(self, name)) for name in DETAILS},
             "uncertainty": None if uncertainty is None else uncertainty.summary(),
-            "normals": _as_json(self.refinement),
-            "camera": _as_json(self.camera),
-            "transport": _as_json(self.transport),
-            "held_out": _as_json(self.held_out),
+            "normals": as_json(self.refinement),
             "verdicts": {name: one.level for name, one in self.verdicts.items()},
-            "options": self.options.to_json(),
-            "assumed": dict(self.assumed),
-            "left_out": list(self.left_out),
-            "stages": [asdict(stage) for stage in self.stages],
-            "inputs": dict(self.inputs),
             "scene": None if self.source is None else _source_as_json(self.source, place or folder),
             "files": {name: digest(folder / name) for name in files_of(folder)},
         }
@@ -304,14 +290,6 @@ def model_of(content: Mapping[str, Any], file: Path) -> Model:
         if name == model:
             return model
     raise InputError(f"{file}: model: expected {' or '.join(MODELS)}, found {quoted(name)}")
-
-
-def _as_json(told: Any) -> dict[str, Any] | None:
-    """A dataclass as an object; infinite numbers and NaN among its `figures` are null."""
-    found = None if told is None else asdict(told)
-    if found is not None and "figures" in found:
-        found["figures"] = finite_or_null(found["figures"])
-    return found
 
 
 def _source_as_json(source: Source, folder: Path) -> dict[str, Any] | None:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.json_files import read_as
+from pbrfit.io.json_files import as_json, read_as
 from pbrfit.model.materials import Materials
 from pbrfit.result.verdict import PARAMETERS, Verdict, verdicts_of
 
@@ -60,7 +60,7 @@ class Uncertainty:
         return {
             **{name: getattr(self, name) for name in NUMBERS},
             "median_deviation": {n: float(np.median(of[valid])) for n, of in of_maps.items()},
-            "verdicts": {name: asdict(one) for name, one in self.verdicts.items()},
+            "verdicts": as_json(self.verdicts),
         }
 
     def layers(self) -> dict[str, NDArray[Any]]:
