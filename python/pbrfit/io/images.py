@@ -322,15 +322,9 @@ def write_exr(
 
     Channels are (H, W) arrays by name, of one shape; `half` writes 16-bit floats, where values
     beyond 65504 become infinite. Equal channels give equal bytes. An existing file is replaced, as
-    a whole or not at all. Raises InputError if there is no channel or their shapes differ.
+    a whole or not at all. Raises InputError if there is no channel or their sizes differ.
     """
-    planes = []
-    for name, channel in channels.items():
-        plane = np.asarray(channel, dtype=np.float32)
-        planes.append((name, plane))
-        if plane.ndim != 2 or plane.shape != planes[0][1].shape:
-            expected = f"(H, W) in all as in {planes[0][0]}"
-            raise InputError(f"channels: expected {expected}, found {plane.shape} in {name}")
+    planes = [(name, np.asarray(channel, dtype=np.float32)) for name, channel in channels.items()]
     _core.write_exr(path, planes, half)
 
 

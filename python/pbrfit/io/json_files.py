@@ -87,11 +87,6 @@ def whole(value: Any) -> int:
     return int(value)
 
 
-def flag(value: Any) -> bool:
-    """Check true or false."""
-    return bool(_a(value, bool, "true or false"))
-
-
 def path_text(value: Any) -> str:
     """Check a text that can be the path of a file; bytes that are no UTF-8 are as `os` has them."""
     if "\0" in (path := words(value)):
@@ -152,13 +147,14 @@ def read_as(kind: Any, value: Any) -> Any:
         kinds = repeat(parts[0], len(entries)) if parts[-1] is Ellipsis else parts
         return tuple(read_as(of, one) for of, one in zip(kinds, entries, strict=True))
     if origin is Mapping:
-        one = _number_or_nan if parts[1] is float else partial(read_as, parts[1])
-        return {name: one(entry) for name, entry in table(value).items()}
-    return {str: text, int: whole, float: number, bool: flag}.get(kind, kind)(value)
-
-
-def _number_or_nan(value: Any) -> float:
-    return math.nan if value is None else number(value)
+        nan = parts[1] is float
+        return {
+            name: math.nan if nan and entry is None else read_as(parts[1], entry)
+            for name, entry in table(value).items()
+        }
+    if kind is bool:
+        return _a(value, bool, "true or false")
+    return {str: text, int: whole, float: number}.get(kind, kind)(value)
 
 
 def _a(value: Any, kind: type | tuple[type, ...], what: str) -> Any:

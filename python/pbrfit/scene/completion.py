@@ -16,7 +16,7 @@ from pbrfit.io.lamp_files import LAMP_FILES, find_lamps, write_lamps
 from pbrfit.io.normal_files import NORMAL_FILES, find_normals, write_normals
 from pbrfit.io.output import check_free_file, new_file
 from pbrfit.io.weight_files import WEIGHT_FILE, write_weights
-from pbrfit.model.lamps import Lamps, rows_of_lamps
+from pbrfit.model.lamps import Lamps, entries_of_lamps
 from pbrfit.scene import folder as scene_folder
 from pbrfit.scene.folder import HEIGHT_FILE
 from pbrfit.scene.writing import write_height
@@ -137,7 +137,7 @@ def add_lamps(folder: Path, lamps: Lamps, *, overwrite: bool = False) -> Path:
     lamps.check_pictures(len(names))
     path = folder / LAMP_FILES[0]
     with new_file(path, overwrite=overwrite) as temporary:
-        write_lamps(temporary, rows_of_lamps(lamps, names))
+        write_lamps(temporary, entries_of_lamps(lamps, names))
     return path
 
 
