@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from pbrfit.io.images import encode_png
 from pbrfit.model.materials import Materials
 from pbrfit.result import metrics
 from pbrfit.result.relighting import relight
 from pbrfit.result.result import Result
-from pbrfit.result.sheet import Panel, Row, as_png, displayed, outside_grey, sheet
+from pbrfit.result.sheet import Panel, Row, displayed, outside_grey, sheet
 from pbrfit.scene.scene import Scene
 
 
@@ -59,7 +60,7 @@ def of_result(
 def packed(panels: Mapping[str, NDArray[np.floating[Any]]]) -> dict[str, Any]:
     """(H, W, 3) values in [0, 1] by name, for JSON; `unpacked` undoes it, to 8 bits."""
     side_by_side = np.concatenate([np.clip(of, 0, 1) for of in panels.values()], axis=1)
-    png = as_png((255 * side_by_side + 0.5).astype(np.uint8))
+    png = encode_png((255 * side_by_side + 0.5).astype(np.uint8), "srgb")
     return {"names": list(panels), "png": base64.b64encode(png).decode("ascii")}
 
 
@@ -77,7 +78,7 @@ def in_lines(kept: Mapping[str, Mapping[str, NDArray[np.floating[Any]]]]) -> byt
     for panels in kept.values():
         grid.append([Panel("" if name in told else name, of) for name, of in panels.items()])
         told |= panels.keys()
-    return as_png(sheet(grid, labels=list(kept)))
+    return encode_png(sheet(grid, labels=list(kept)), "srgb")
 
 
 def beside_truth(

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import DirectionalLight, Environment, InputError, Result, Scene, decompose, relight
-from pbrfit.acquire.depth.offset import with_offset
+from pbrfit.acquire.depth import with_offset
 from pbrfit.display.tone import encoded
 from pbrfit.export.displacement import Displacement
 from pbrfit.io.checks import any_array

@@ -8,9 +8,8 @@ import email.policy
 import io
 import json
 import threading
-import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
@@ -36,8 +35,6 @@ class Answer:
     status: int
     body: bytes | None
     headers: dict[str, str] = field(default_factory=dict)
-    pause: float = 0.0
-    """Seconds after each byte of the body."""
 
 
 @dataclass
@@ -135,13 +132,7 @@ def running(service: Service) -> Iterator[str]:
             for name, value in answer.headers.items():
                 self.send_header(name, value)
             self.end_headers()
-            if not answer.pause:
-                self.wfile.write(answer.body)
-                return
-            with suppress(OSError):  # the client has gone
-                for byte in answer.body:
-                    self.wfile.write(bytes([byte]))
-                    time.sleep(answer.pause)
+            self.wfile.write(answer.body)
 
         def log_message(self, *_: object) -> None:
             pass

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from acquire.tiny_maps import picture, save_tiny_depth_anything, save_tiny_marigold_depth
-from pbrfit.acquire import marigold
-from pbrfit.acquire.depth import depth_anything
+from pbrfit.acquire import depth_anything, marigold
 
 
 @pytest.fixture(scope="module")

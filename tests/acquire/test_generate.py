@@ -17,8 +17,7 @@ from acquire.tiny_maps import (
     save_tiny_sam2,
 )
 from command_runs import ran
-from pbrfit.acquire import marigold, segments
-from pbrfit.acquire.depth import depth_anything
+from pbrfit.acquire import depth_anything, marigold, segments
 from pbrfit.cli import main
 from pbrfit.scene.scene import Scene
 

@@ -71,13 +71,6 @@ def test_a_checkpoint_in_the_cache_is_used_without_a_network(photo: Photo) -> No
     assert record["revision"] == COMMIT
 
 
-@pytest.mark.usefixtures("cached")
-def test_a_revision_that_is_not_in_the_cache_is_not_replaced_by_another(photo: Photo) -> None:
-    assert "found none, and HF_HUB_OFFLINE" in refusal(photo, revision="v2")
-    record = Flux2Klein(revision=COMMIT, steps=1, device="cpu").generate(photo, LEFT).record
-    assert record["revision"] == COMMIT
-
-
 def test_a_cache_that_lacks_files_is_named(cached: Path, photo: Photo, hub_cache: Path) -> None:
     shutil.rmtree(cached / "snapshots" / COMMIT / "transformer")
     assert refusal(photo).startswith(f"{MODEL}: expected FLUX.2 Klein in {hub_cache} that can")
@@ -219,7 +212,6 @@ def hub(monkeypatch: pytest.MonkeyPatch) -> Iterator[type[HubThatRefuses]]:
     [
         (404, "RepoNotFound", rf"{MODEL}: expected FLUX.2 Klein in a local folder or on the Hub"),
         (403, "GatedRepo", rf"{MODEL} is given out on conditions: accept them at https://hugging"),
-        (404, "RevisionNotFound", rf"FLUX.2 Klein: expected a revision that {MODEL} has, found"),
         (404, "EntryNotFound", r"expected the weights .*, found none, and could .*404 Not Found"),
     ],
 )

@@ -20,8 +20,8 @@ from fuzz import crafted, damage, declared, seeds
 from fuzz.seeds import Seed
 from fuzz.task import TASK, work
 from pbrfit.acquire import journal
+from pbrfit.acquire import normals as normals_of
 from pbrfit.acquire.generators import Request
-from pbrfit.acquire.normals import files
 from pbrfit.acquire.photo import Photo, read_photo
 from pbrfit.acquire.prompts import read_prompts
 from pbrfit.io import images, lamp_files
@@ -144,11 +144,11 @@ def _as_photo(file: Path) -> None:
 def _map(_folder: Path, file: Path) -> None:
     """Normals, depth and weights as files."""
     if file.stem == "depth":
-        normals, _ = files.of_depth(file, (16, 16), fov=50.0)
+        normals, _ = normals_of.of_depth(file, (16, 16), fov=50.0)
         assert normals.shape == (16, 16, 3)
         assert np.isfinite(normals).all()
         return
-    found, known, _ = files.from_normals(file, (16, 16), Convention())
+    found, known, _ = normals_of.from_normals(file, (16, 16), Convention())
     assert found.shape == (16, 16, 3)
     np.testing.assert_allclose(np.linalg.norm(found, axis=-1), 1, atol=1e-6)
     assert known.dtype == bool

@@ -13,11 +13,10 @@ from pbrfit.result.camera import Camera
 FILES = ["history.csv", "lighting.json", "materials.exr", "preview.png", "result.json"]
 WITH_REPORT = sorted([*FILES, "report.html"])
 KEYS = [
-    *("version", "status", "stop_reason", "fov", "model", "iterations", "evaluations"),
-    *("seconds", "protocol", "metrics", "uncertainty", "normals", "camera"),
-    *("transport", "held_out", "verdicts"),
-    *("options", "assumed", "left_out"),
-    *("stages", "inputs", "scene", "files"),
+    *("version", "model", "iterations", "protocol"),
+    *("fov", "status", "stop_reason", "evaluations", "seconds", "metrics", "options", "assumed"),
+    *("left_out", "inputs", "stages", "camera", "transport", "held_out"),
+    *("uncertainty", "normals", "verdicts", "scene", "files"),
 ]
 CONTRADICTED = Camera(
     60.0, "given", contradicted=True, figures={"other_fov_degrees": 88.0, "other_fov_sigma": 2.0}

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from pbrfit.io.images import encode_png
 from pbrfit.result.sheet import Panel as SheetPanel
 from pbrfit.result.sheet import Row as SheetRow
-from pbrfit.result.sheet import as_png, sheet
+from pbrfit.result.sheet import sheet
 from pbrfit_evaluation.heldout.figures import error_of
 from pbrfit_evaluation.heldout.measure import LARGEST_SHOWN, Task, Way
 from pbrfit_evaluation.panels import unpacked
@@ -154,7 +155,7 @@ def _errors(results: Of, name: str) -> bytes | None:
         for task, values in results.finished
         if task.source.name == name and "error" in values
     ]
-    return as_png(sheet([row])) if row else None
+    return encode_png(sheet([row]), "srgb") if row else None
 
 
 def files(results: Of) -> Mapping[str, bytes]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.display.tone import codes, encoded
 from pbrfit.model.materials import Materials
 from pbrfit.result import metrics
 from pbrfit.scene.scene import Scene
@@ -103,7 +104,7 @@ def shown_picture(scene: Scene, picture: int) -> NDArray[np.uint8]:
     """(H, W, 3) sRGB of 8 bits, exposed so that the 98th percentile is white."""
     image = np.where(np.isfinite(scene.images[picture]), scene.images[picture], 0.0)
     white = metrics.white_of(image[scene.valid])
-    return np.rint(255 * metrics.display(image, white)).astype(np.uint8)
+    return codes(encoded(image / white))
 
 
 def why_not(options: Options, condition: str, way: str) -> str:

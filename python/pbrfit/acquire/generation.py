@@ -33,7 +33,6 @@ from pbrfit.io.json_files import write_json
 from pbrfit.io.normal_files import write_normals
 from pbrfit.io.weight_files import WEIGHT_FILE, write_weights
 from pbrfit.model import geometry
-from pbrfit.result.sheet import as_png
 from pbrfit.scene.arrays import FIRST_FOV
 from pbrfit.scene.reading import Surface
 
@@ -155,7 +154,7 @@ def generate(
         )
         told("writing", rounds.asked, rounds.asked)
         write_json(made / FILE, report.as_json(), ESCAPED)
-        (made / SHEET).write_bytes(as_png(report.sheet(journal)))
+        images.write_png(made / SHEET, report.sheet(journal), tag="srgb")
         enough = len(report.accepted) + with_photo >= PICTURES_MIN
         if enough:
             write_normals(made / "normals.exr", surface.normals, surface.uncertainty)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from pbrfit.acquire.journal import FOLDER, Journal
 from pbrfit.acquire.photo import Photo
 from pbrfit.acquire.rounds import Attempt, Picture
-from pbrfit.io.json_files import finite_or_null
+from pbrfit.io.json_files import as_json
 from pbrfit.result.sheet import OUTSIDE, Panel, sheet
 
 if TYPE_CHECKING:
-    from pbrfit.acquire.review import Check
+    pass
 
 FILE, SHEET = "review.json", "review.png"
 
@@ -102,7 +102,7 @@ class GenerationReport:
                 pixels = np.full((*self.photo.size, 3), OUTSIDE)
                 if not attempt.entry.refused:
                     pixels = journal.pixels(attempt.entry) / 255.0
-                shown.append(Panel(caption, pixels, note=reason, crossed=bool(reason)))
+                shown.append(Panel(caption, pixels, note=reason))
         title = (
             f"{self.photo.path.name}: {len(self.accepted)} of {len(self.pictures)} pictures by "
             f"{self.settings.get('generator', 'the generator')}"
@@ -120,8 +120,8 @@ def contact_sheet(
 ) -> NDArray[np.uint8]:
     """The photo, then accepted pictures, then a part of its own for those that were refused.
 
-    All as they go to the screen; pictures that were refused are crossed, and the order of the
-    others is kept. Returns (H, W, 3) uint8.
+    All as they go to the screen; pictures that were refused have a note that says why. Returns
+    (H, W, 3) uint8.
     """
     half = (CAPTION_LENGTH_MAX - 1) // 2  # the ends tell pictures apart; the seed is at one of them
     pictures = [
@@ -130,8 +130,8 @@ def contact_sheet(
         else one
         for one in pictures
     ]
-    accepted = [Panel("the photo", photo), *(one for one in pictures if not one.crossed)]
-    refused = [one for one in pictures if one.crossed]
+    accepted = [Panel("the photo", photo), *(one for one in pictures if not one.note)]
+    refused = [one for one in pictures if one.note]
     columns = min(COLUMNS, max(len(accepted), len(refused)))
     parts = []
     for panels, above in ((accepted, title), (refused, f"Refused: {len(refused)}")):
@@ -160,14 +160,10 @@ def _attempt(attempt: Attempt) -> dict[str, Any]:
         "received": None if entry.refused else f"{FOLDER}/{entry.stem}.png",
         "accepted": not attempt.reason,
         "reason": attempt.reason,
-        "checks": [_check(check) for check in attempt.checks],
-        "together": [_check(check) for check in attempt.together],
+        "checks": as_json(attempt.checks),
+        "together": as_json(attempt.together),
         "record": entry.record,
     }
-
-
-def _check(check: Check) -> dict[str, Any]:
-    return asdict(check) | finite_or_null({"value": check.value, "bound": check.bound})
 
 
 def _summed(usages: Iterable[Any]) -> dict[str, Any] | None:

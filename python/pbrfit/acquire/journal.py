@@ -25,16 +25,7 @@ from pbrfit.acquire.photo import Photo
 from pbrfit.acquire.received import read_srgb8
 from pbrfit.io import images
 from pbrfit.io.input_files import PICTURE_BYTES, read_bytes
-from pbrfit.io.json_files import (
-    MOST,
-    UNFIT,
-    read_json,
-    table,
-    text,
-    whole,
-    words,
-    write_json,
-)
+from pbrfit.io.json_files import UNFIT, read_as, read_json, table, whole, words, write_json
 from pbrfit.io.output import new_file
 from pbrfit.io.quoting import listed, quoted
 
@@ -119,7 +110,7 @@ class Journal:
                 f"{path}: expected the picture as it was received, found {there}; without "
                 f"{entry.stem}.json it is asked for anew"
             )
-        return read_srgb8(data, ("PNG",))
+        return read_srgb8(data)
 
     def _add(self, entry: Entry) -> Entry:
         content = {"about": self._about, **dataclasses.asdict(entry)}
@@ -195,20 +186,12 @@ def _read(folder: Path) -> Iterator[tuple[object, Entry]]:
             continue
         content = read_json(path, ENTRY)
         try:
-            request, run, sha256 = _request(content["request"]), content["about"], content["sha256"]
+            request, run = read_as(Request, content["request"]), content["about"]
             refused, record = words(content["refused"]), table(content["record"])
-            sha256 = None if sha256 is None else text(sha256)
+            sha256 = read_as(str | None, content["sha256"])
         except UNFIT:
             raise _strange(path) from None
         yield run, Entry(path.stem, request, refused, record, sha256)
-
-
-def _request(content: Any) -> Request:
-    """Undo `asdict`; one of `UNFIT` if it is something else."""
-    name, prompt, negative = (words(content[key]) for key in ("name", "prompt", "negative"))
-    if content.keys() != {"name", "prompt", "negative", "seed"}:
-        raise ValueError(f"request of {listed(content)}")
-    return Request(name, prompt, negative, whole(content["seed"], -MOST))
 
 
 def _strange(path: Path) -> InputError:

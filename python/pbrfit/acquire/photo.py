@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.display.tone import encoded
+from pbrfit.display.tone import codes, encoded
 from pbrfit.io import images
 from pbrfit.io.color import ColorSpace
+from pbrfit.io.quoting import listed
 from pbrfit.io.resampling import averaged_channels, averaged_where, reduced_size
 from pbrfit.model.geometry import fov_from_focal_length
-from pbrfit.result.metrics import display, white_of
+from pbrfit.result.metrics import white_of
 from pbrfit.scene import folder as scene_folder
 from pbrfit.scene.options import ReadOptions
 
@@ -61,7 +62,7 @@ class Photo:
         pixels = self.pixels
         if self.mask is not None:
             pixels = np.where(self.mask[..., None], pixels, pixels[self.mask].mean(axis=0))
-        return np.asarray(np.rint(255 * encoded(pixels, self.exposure)), dtype=np.uint8)
+        return codes(encoded(pixels, self.exposure))
 
 
 def read_photo(
@@ -160,10 +161,7 @@ def shown_to_network(
     options = ReadOptions(color_space=color_space).or_else(files.settings())
     if picture is not None:
         if picture not in names:
-            raise InputError(
-                f"picture: expected one of {', '.join(names[:12])}"
-                f"{', ...' if len(names) > 12 else ''}, found {picture!r}"
-            )
+            raise InputError(f"picture: expected one of {listed(names)}, found {picture!r}")
         paths = (paths[names.index(picture)],)
     total: NDArray[np.float64] | None = None
     for path in paths:
@@ -181,6 +179,6 @@ def shown_to_network(
             total += pixels / mean
     if total is None or not total.any():
         raise InputError(f"{paths[0].parent}: expected radiance above 0, found none")
-    seen = np.rint(255 * display(total, white_of(total))).astype(np.uint8)
+    seen = codes(encoded(total / white_of(total)))
     what = f"picture {paths[0].stem}" if len(paths) == 1 else f"the mean of {len(paths)} pictures"
     return seen, what

@@ -11,12 +11,10 @@ import re
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
-from pbrfit._core import InputError
 from pbrfit.io.input_files import SETTINGS_BYTES, read_text
-from pbrfit.io.json_files import toml_of
-from pbrfit.io.quoting import listed, quoted
+from pbrfit.io.json_files import UNFIT, read_as, toml_of, unfit
+from pbrfit.io.quoting import quoted
 
 SHIPPED = "prompts.toml"
 _SLUG = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
@@ -49,20 +47,30 @@ class Catalogue:
 def read_prompts(path: Path | None = None) -> Catalogue:
     """Read a catalogue; None is the one that ships with pbrfit.
 
-    Raises InputError if the file is no such catalogue: one line with the key, and with the line
-    where TOML is broken; OSError if it cannot be read.
+    Raises InputError if the file is no such catalogue: one line, with that where TOML is broken;
+    OSError if it cannot be read.
     """
     name = str(path) if path is not None else SHIPPED
     content = toml_of(name, shipped_text() if path is None else read_text(path, SETTINGS_BYTES))
-    _refuse_unknown(name, "", content, {"preamble", "negative", "lighting"})
-    entries = content.get("lighting")
-    if not isinstance(entries, list) or not entries:
-        raise InputError(f"{name}: expected at least one [[lighting]], found none")
-    return Catalogue(
-        preamble=_text(name, "preamble", content.get("preamble", ""), empty=True),
-        lighting=_lighting(name, entries),
-        negative=_text(name, "negative", content.get("negative", ""), empty=True),
-    )
+    try:
+        found = read_as(Catalogue, {"preamble": "", "negative": "", "lighting": []} | content)
+        if not found.lighting:
+            raise ValueError("no lighting")
+        prompts: dict[str, Prompt] = {}
+        for prompt in found.lighting:
+            if not _SLUG.fullmatch(prompt.name) or prompt.name in prompts:
+                expected = "up to 64 of a-z, 0-9, _ and -, another name for each"
+                raise ValueError(f"lighting: name {quoted(prompt.name)} in place of {expected}")
+            prompts[prompt.name] = Prompt(prompt.name, _line(prompt.text))
+            if not prompts[prompt.name].text:
+                raise ValueError(f"lighting: {prompt.name} without a text")
+    except UNFIT as error:
+        raise unfit(name, "[[lighting]] with name and text, preamble, negative", error) from None
+    return Catalogue(_line(found.preamble), tuple(prompts.values()), _line(found.negative))
+
+
+def _line(text: str) -> str:
+    return " ".join(text.split())
 
 
 def shipped_text() -> str:
@@ -80,34 +88,3 @@ def listing(catalogue: Catalogue) -> str:
     return "\n".join(
         [f"before each: {catalogue.preamble}", "", *lines, "", f"negative: {catalogue.negative}"]
     )
-
-
-def _lighting(name: str, entries: list[Any]) -> tuple[Prompt, ...]:
-    prompts: list[Prompt] = []
-    for i, entry in enumerate(entries):
-        key = f"lighting {i + 1}"
-        if not isinstance(entry, dict):
-            raise InputError(f"{name}: {key}: expected name and text, found {quoted(entry)}")
-        slug = entry.get("name")
-        if not isinstance(slug, str) or not _SLUG.fullmatch(slug):
-            raise InputError(
-                f"{name}: {key}: name: expected up to 64 of a-z, 0-9, _ and -, found {quoted(slug)}"
-            )
-        key = f"{key} ({slug})"
-        _refuse_unknown(name, f"{key}: ", entry, {"name", "text"})
-        if slug in (prompt.name for prompt in prompts):
-            raise InputError(f"{name}: {key}: expected a name of its own, found it twice")
-        prompts.append(Prompt(slug, _text(name, f"{key}: text", entry.get("text"))))
-    return tuple(prompts)
-
-
-def _text(name: str, key: str, value: object, *, empty: bool = False) -> str:
-    if not isinstance(value, str) or not (empty or value.strip()):
-        raise InputError(f"{name}: {key}: expected a text, found {quoted(value)}")
-    return " ".join(value.split())
-
-
-def _refuse_unknown(name: str, where: str, table: dict[str, Any], known: set[str]) -> None:
-    unknown = sorted(set(table) - known)
-    if unknown:
-        raise InputError(f"{name}: {where}expected only {listed(known)}, found {listed(unknown)}")

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit._core import InputError
 from pbrfit.acquire import weights
-from pbrfit.acquire.normals.files import check_reducible, check_source
+from pbrfit.acquire.normals import check_reducible
 from pbrfit.io import images
+from pbrfit.io.checks import finite
 from pbrfit.io.resampling import at_centres
 from pbrfit.scene.folder import MAX_ID
 
@@ -24,7 +24,7 @@ SMALLEST = 0.0005
 POINTS = 32
 """A side: SAM2 is asked what lies at each point of this grid."""
 
-WHAT = "SAM2"
+WHAT, SHARE = "SAM2", "a share of the picture, 0 to 1"
 
 
 def segment(
@@ -41,7 +41,6 @@ def segment(
     if source == "sam2":
         return by_sam2(srgb8, **options)
     path = Path(source)
-    check_source("segments", source, "sam2 or a file")
     ids = images.read_ids(path)
     height, width = srgb8.shape[:2]
     check_reducible(path, ids.shape, (height, width))
@@ -69,7 +68,7 @@ def by_sam2(
     InputError if a package or the weights are missing, an option cannot be used, or memory runs
     out.
     """
-    _check_share(smallest)
+    finite("smallest", smallest, SHARE, 0.0, 1.0)
     weights.need("segment", "torch", "torchvision", "transformers")
     import torch
     from PIL import Image
@@ -124,7 +123,7 @@ def ids_of(
     `smallest` is the share of the picture, 0 to 1, that must show of a mask. Returns (H, W): 1 is
     the largest mask, and so on without gaps, at most 65535; 0 = in none.
     """
-    _check_share(smallest)
+    finite("smallest", smallest, SHARE, 0.0, 1.0)
     least = max(1.0, smallest * size[0] * size[1])
     # Of masks of one size the one that comes first in the picture lies below.
     kept = sorted(
@@ -139,8 +138,3 @@ def ids_of(
         if not len(kept) or shown.min() >= least:
             return ids
         del kept[int(shown.argmin())]
-
-
-def _check_share(smallest: float) -> None:
-    if not 0 <= smallest <= 1:
-        raise InputError(f"smallest: expected a share of the picture, 0 to 1, found {smallest:g}")

@@ -13,9 +13,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from pbrfit._core import InputError
+from pbrfit.io.checks import one_of
 
 log = logging.getLogger("pbrfit")
 
@@ -90,13 +91,9 @@ def placement(
     Diffusion run in float16, whose numbers are eight times as fine. Raises InputError if an option
     is none of those there are, the device is not there, or there is nothing to offload from.
     """
-    for name, value, known in (
-        ("device", device, get_args(Device)),
-        ("dtype", dtype, get_args(Precision)),
-        ("offload", offload, get_args(Offload)),
-    ):
-        if value not in known:
-            raise InputError(f"{name}: expected one of {', '.join(known)}, found {value!r}")
+    one_of("device", device, Device)
+    one_of("dtype", dtype, Precision)
+    one_of("offload", offload, Offload)
     import torch
 
     there = {"cpu": True, "cuda": torch.cuda.is_available()}
@@ -117,55 +114,39 @@ def placement(
     return Placement(device, dtype, offload)
 
 
-def load(
-    kind: str,
-    model: str,
-    *,
-    loader: Callable[..., Any],
-    marker: str,
-    revision: str | None = None,
-) -> Loaded:
+def load(kind: str, model: str, *, loader: Callable[..., Any], marker: str) -> Loaded:
     """Load a network of a `kind`, for messages, from a local folder or the Hugging Face Hub.
 
-    `model` is a folder as `save_pretrained` leaves it, or OWNER/NAME on the Hub, of a branch, tag
-    or commit `revision`. `loader` is a `from_pretrained`, with what else it needs bound to it; it
-    is called with the name or folder, ``local_files_only``, and ``revision`` if there is one, and
-    an `InputError` of its own passes through. `marker` is a file that every folder of this kind
-    has: "model_index.json" of a pipeline, "config.json" of a single network. Raises InputError if
-    it is in neither place and cannot be downloaded, or cannot be loaded: one line that says which
-    and where it was looked for.
+    `model` is a folder as `save_pretrained` leaves it, or OWNER/NAME on the Hub. `loader` is a
+    `from_pretrained`, with what else it needs bound to it; it is called with the name or folder and
+    ``local_files_only``, and an `InputError` of its own passes through. `marker` is a file that
+    every folder of this kind has: "model_index.json" of a pipeline, "config.json" of a single
+    network. Raises InputError if it is in neither place and cannot be downloaded, or cannot be
+    loaded: one line that says which and where it was looked for.
     """
-    options = {} if revision is None else {"revision": revision}
-    folder = Path(model).expanduser()
-    if model and folder.is_dir():
-        if not (folder / marker).is_file():
-            raise InputError(f"{folder}: expected {kind} with a {marker}, found none")
-        try:
-            with _no_bars():
-                network = loader(str(folder), local_files_only=True)
-        except InputError:
-            raise
-        except Exception as error:
-            raise _failed(kind, model, error) from error
-        return Loaded(network, {"model": model, "source": "folder", "revision": None})
     from huggingface_hub import constants
 
-    cache, offline = constants.HF_HUB_CACHE, constants.is_offline_mode()
-    if not _is_hub_name(model):
+    folder = Path(model).expanduser()
+    local = bool(model) and folder.is_dir()
+    if local and not (folder / marker).is_file():
+        raise InputError(f"{folder}: expected {kind} with a {marker}, found none")
+    if not local and not _is_hub_name(model):
         raise InputError(f"{model}: expected a folder with {kind}, or OWNER/NAME, found neither")
-    if _commit(model, marker, revision) is not None:
+    cache, final = constants.HF_HUB_CACHE, local or constants.is_offline_mode()
+    place = "" if local else f" in {cache}"
+    if local or _commit(model, marker) is not None:
         # A download that was cut off leaves a cache that lacks files; then the Hub has the rest.
         try:
             with _no_bars():
-                network = loader(model, local_files_only=True, **options)
+                network = loader(str(folder) if local else model, local_files_only=True)
         except InputError:
             raise
         except Exception as error:
-            if offline or _out_of_memory(error):
-                raise _failed(kind, model, error, place=f" in {cache}") from error
+            if final or _out_of_memory(error):
+                raise _failed(kind, model, error, place) from error
         else:
-            return Loaded(network, _hub_record(model, marker, revision))
-    if offline:
+            return _loaded(network, model, None if local else _commit(model, marker))
+    if final:
         raise InputError(
             f"{kind}: expected the weights {model} in {cache}, found none, and HF_HUB_OFFLINE "
             f"forbids to download them: run once without it, or `hf download {model}` where there "
@@ -173,14 +154,14 @@ def load(
         )
     log.warning("%s: downloading %s to %s", kind, model, cache)
     try:
-        network = loader(model, local_files_only=False, **options)  # gigabytes: with bars
+        network = loader(model, local_files_only=False)  # gigabytes: with bars
     except InputError:
         raise
     except Exception as error:
         if _about_files(error):
             raise _not_downloaded(kind, model, error) from error
-        raise _failed(kind, model, error, place=f" in {cache}") from error
-    return Loaded(network, _hub_record(model, marker, revision))
+        raise _failed(kind, model, error, place) from error
+    return _loaded(network, model, _commit(model, marker))
 
 
 def place(network: Any, where: Placement, *, what: str) -> None:
@@ -242,7 +223,7 @@ def _no_bars() -> Iterator[None]:
             library.enable_progress_bar()
 
 
-def _failed(kind: str, model: str, error: Exception, place: str = "") -> InputError:
+def _failed(kind: str, model: str, error: Exception, place: str) -> InputError:
     """One line of what a library says of a damaged or foreign checkpoint, whatever its type."""
     if _out_of_memory(error):
         return InputError(f"{kind}: out of memory while loading {model}")
@@ -278,8 +259,6 @@ def _not_downloaded(kind: str, model: str, error: Exception) -> InputError:
             f"{kind}: {model} is given out on conditions: accept them at "
             f"https://huggingface.co/{model} and log in with `hf auth login`"
         )
-    if any(isinstance(link, errors.RevisionNotFoundError) for link in chain):
-        return InputError(f"{kind}: expected a revision that {model} has, found none such")
     if any(isinstance(link, errors.RepositoryNotFoundError) for link in chain):
         return InputError(
             f"{model}: expected {kind} in a local folder or on the Hub, found neither of that name"
@@ -295,15 +274,16 @@ def _first_line(error: BaseException) -> str:
     return " ".join(said.splitlines()[0].split()) if said else type(error).__name__
 
 
-def _hub_record(model: str, marker: str, revision: str | None) -> dict[str, Any]:
-    return {"model": model, "source": "hub", "revision": _commit(model, marker, revision)}
+def _loaded(network: Any, model: str, commit: str | None) -> Loaded:
+    source = "folder" if commit is None else "hub"
+    return Loaded(network, {"model": model, "source": source, "revision": commit})
 
 
-def _commit(model: str, marker: str, revision: str | None) -> str | None:
+def _commit(model: str, marker: str) -> str | None:
     """The commit of the cached snapshot; None if there is none."""
     from huggingface_hub import try_to_load_from_cache
 
-    path = try_to_load_from_cache(model, marker, revision=revision)
+    path = try_to_load_from_cache(model, marker)
     # …/models--OWNER--NAME/snapshots/COMMIT/marker
     return Path(path).parent.name if isinstance(path, str) else None
 

@@ -15,6 +15,7 @@ from pbrfit import address_space
 from pbrfit._core import InputError
 from pbrfit.batch import heartbeat
 from pbrfit.errors import in_one_line
+from pbrfit.io.json_files import read_as
 from pbrfit.io.normal_files import NORMAL_FILES
 from pbrfit.result.held_out import HeldOut
 from pbrfit.result.options import FitOptions
@@ -36,7 +37,8 @@ than was predicted for scenes of 16² to 128², and 40 more as dask's workers.""
 NO_SCENES = re.compile(r"\..*|(flat|truth|lost\+found)$")
 """Names of folders in a folder that are no scenes; nobody may look into that of the file system."""
 
-LOOK_EVERY = 0.2  # seconds after which a worker looks whether its scene is still wanted
+LOOK_EVERY = 0.2
+"""Seconds after which a worker looks whether its scene is still wanted."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +133,7 @@ def decompose_scene(
                 iterations=int(content["iterations"]),
                 metrics=dict(content["metrics"]),
                 verdicts=verdicts,
-                held_out=HeldOut.from_json(content.get("held_out")),
+                held_out=read_as(HeldOut | None, content["held_out"]),
                 table=f"{task.output}: kept, nothing has changed",
                 steps=advice.of_verdicts(verdicts),
             )

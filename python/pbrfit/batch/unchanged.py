@@ -9,7 +9,7 @@ from typing import Any
 
 from pbrfit._core import InputError
 from pbrfit.io.input_files import digest
-from pbrfit.io.json_files import UNFIT, read_json, table
+from pbrfit.io.json_files import UNFIT, as_json, read_json, table
 from pbrfit.model.reflection import chosen_model
 from pbrfit.result.options import FitOptions
 from pbrfit.result.result import details_of, files_of, model_of
@@ -49,7 +49,7 @@ def kept(
             scene_then["color_space"] = None
         same = (
             content["version"] == version("pbrfit")
-            and content["options"] == options.to_json()
+            and content["options"] == as_json(options)
             and ReadOptions.from_json(scene_then) == reading
             and bool(verdicts_of(content["uncertainty"])) == options.uncertainty
             and content["files"] == {name: digest(output / name) for name in files_of(output)}

@@ -149,8 +149,7 @@ def add_cluster(parser: Any) -> None:
 
 def add_threads(parser: Any) -> None:
     """Add `--threads`."""
-    said = "0 = one for each processor; results do not depend on it"
-    add_flags(parser, threads=value("T", whole_number, said, default=0))
+    add_flags(parser, threads={**THREADS, "default": 0})
 
 
 def whole_number(text: str, least: int = 0) -> int:
@@ -186,3 +185,7 @@ def numbers(form: str, kind: Callable[[str], Any] = number) -> Callable[[str], t
         raise argparse.ArgumentTypeError(f"expected {form}, {what} numbers, found {text!r}")
 
     return read
+
+
+THREADS = value("T", whole_number, "0 = one for each processor; results do not depend on it")
+"""`--threads`."""

@@ -8,12 +8,13 @@ import shlex
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.acquire.depth import depth_anything, estimate
+from pbrfit.acquire import depth_anything
+from pbrfit.acquire.depth import estimate
 from pbrfit.acquire.marigold import DEPTH_MODEL, ENSEMBLE
-from pbrfit.acquire.photo import shown_to_network
 from pbrfit.commands import arguments as cli
 from pbrfit.commands import network_options as network
 from pbrfit.commands.scene_options import DEPTH_KIND, field_of_view
+from pbrfit.io import images
 from pbrfit.io.depth_files import DEPTH_FILES, METRES
 from pbrfit.scene import completion
 from pbrfit.scene.depth import in_words
@@ -82,15 +83,18 @@ def run(options: argparse.Namespace) -> int:
     given = network.asked_for(options, FLAGS, kind)
     shown: NDArray[np.uint8] = np.zeros((*surface.size, 3), np.uint8)  # only its size matters
     if kind in ("marigold", "depth-anything"):
-        space = given.pop("color_space", None)
-        shown, _ = shown_to_network(options.scene, given.pop("picture", None), space)
+        shown, _ = network.shown(options.scene, given)
     if kind == "marigold":
         total = given.get("ensemble", ENSEMBLE)
         with cli.progress_bar(total, quiet=options.quiet, unit="prediction") as bar:
             found = estimate(kind, shown, surface, fuse=options.fuse, progress=bar.update, **given)
     else:
         found = estimate(options.source, shown, surface, fuse=options.fuse, **given)
-    path = completion.add_depth(options.scene, found.depth, overwrite=options.overwrite)
+    path = completion.add_map(
+        *(options.scene, "depth", DEPTH_FILES, found.depth),
+        lambda path: images.write_exr(path, {"Z": found.depth}),
+        overwrite=options.overwrite,
+    )
     lines = [f"{path}: {in_words(found.depth)}", *(f"  {remark}" for remark in found.remarks)]
     cli.tell(options, [*lines, f"look at it: pbrfit inspect {shlex.quote(str(options.scene))}"])
     return cli.DONE

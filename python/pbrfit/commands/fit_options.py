@@ -83,15 +83,8 @@ def given_priors(options: argparse.Namespace) -> Priors:
 def prior_weight(text: str) -> tuple[str, float]:
     """Read NAME=WEIGHT for `argparse`."""
     name, _, weight = text.partition("=")
-    if name not in prior_names():
-        raise argparse.ArgumentTypeError(
-            f"expected NAME=WEIGHT with one of {', '.join(prior_names())}, found {text!r}"
-        )
     try:
-        value = float(weight)
-        Priors(**{name: value})
-    except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"expected a finite weight of 0 or more for {name}, found {weight!r}"
-        ) from None
-    return name, value
+        return name, getattr(Priors(**{name: float(weight)}), name)
+    except (TypeError, ValueError):
+        expected = f"NAME=WEIGHT with one of {', '.join(prior_names())} and a weight of 0 or more"
+        raise argparse.ArgumentTypeError(f"expected {expected}, found {text!r}") from None

@@ -22,7 +22,6 @@ from pbrfit.commands.network_options import source
 from pbrfit.commands.scene_options import field_of_view
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.output import new_file
-from pbrfit.io.quoting import visible
 
 MAX_SIZE = 1024
 """Longer side in pixels that larger photographs are averaged down to."""
@@ -184,11 +183,11 @@ def run(options: argparse.Namespace) -> int:
             progress=told,
             **{name: getattr(options, name) for name in as_given},
         )
-    with cli.unread_is_no_failure():
-        if options.json:
+    if options.json:
+        with cli.unread_is_no_failure():
             print(json.dumps(report.as_json(), indent=1, ensure_ascii=False))
-        elif not options.quiet:
-            _print_summary(report)
+    else:
+        cli.tell(options, _summary(report))
     return cli.DONE
 
 
@@ -223,22 +222,16 @@ def _progress(options: argparse.Namespace) -> Iterator[Progress]:
         bar.update(bar.total - bar.n)
 
 
-def _print_summary(report: GenerationReport) -> None:
+def _summary(report: GenerationReport) -> Iterator[str]:
     """How it went, and what comes next."""
     accepted = len(report.accepted)
     with_photo = " and the photograph" if report.with_photo else ""
-    facts = [
-        ("scene", f"{report.out}"),
-        ("pictures", f"{accepted} of {len(report.pictures)} generated{with_photo}"),
-    ]
-    facts += [
-        ("left out" if i == 0 else "", f"{picture.request.name}: {picture.reason}")
-        for i, picture in enumerate(report.left_out)
-    ]
-    facts.append(("review", f"{report.out / 'review.png'}"))
+    yield f"scene       {report.out}"
+    yield f"pictures    {accepted} of {len(report.pictures)} generated{with_photo}"
+    for i, picture in enumerate(report.left_out):
+        yield f"{'' if i else 'left out':<12}{picture.request.name}: {picture.reason}"
+    yield f"review      {report.out / 'review.png'}"
     result = report.out.with_name(f"{report.out.name}-result")
     scene, out = (shlex.quote(str(path)) for path in (report.out, result))
     # Left-out pictures would drop the prior, for metals that take up what no light explains.
-    facts.append(("next", f"pbrfit decompose {scene} --prior material=1 --out {out}"))
-    for topic, fact in facts:
-        print(visible(f"{topic:<12}{fact}"))
+    yield f"next        pbrfit decompose {scene} --prior material=1 --out {out}"

@@ -10,10 +10,9 @@ import numpy as np
 from pbrfit._core import InputError
 from pbrfit.acquire import maps
 from pbrfit.acquire.marigold import ENSEMBLE, MATERIALS_MODEL
-from pbrfit.acquire.photo import shown_to_network
 from pbrfit.commands import arguments as cli
 from pbrfit.commands import network_options as network
-from pbrfit.model.estimates import ESTIMATES_FILE, known_maps
+from pbrfit.model.estimates import ESTIMATES_FILE, known_maps, write
 from pbrfit.scene import completion
 
 MARIGOLD: network.Flags = {
@@ -62,10 +61,13 @@ def run(options: argparse.Namespace) -> int:
     if kind == "file":
         found = maps.of_files([*map(Path, paths)], completion.picture_size(options.scene))
     else:
-        space = given.pop("color_space", None)
-        shown, _ = shown_to_network(options.scene, given.pop("picture", None), space)
+        shown, _ = network.shown(options.scene, given)
         found = maps.by_marigold(shown, **given)
-    path = completion.add_estimates(options.scene, found, overwrite=options.overwrite)
+    path = completion.add_map(
+        *(options.scene, "estimates", [ESTIMATES_FILE], found.roughness),
+        lambda path: write(path, found),
+        overwrite=options.overwrite,
+    )
     means = [f"{name} {np.nanmean(of):.2f}" for name, of in known_maps(found).items()]
     cli.tell(options, [f"{path}: {', '.join(means)} in the mean"])
     return cli.DONE

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import re
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.acquire.marigold import ENSEMBLE, NORMALS_MODEL
 from pbrfit.acquire.normals import HALF_WEIGHT, Normals, estimate, kind_of
-from pbrfit.acquire.photo import shown_to_network
 from pbrfit.commands import arguments as cli
 from pbrfit.commands import network_options as network
 from pbrfit.commands.progress import fit_steps
@@ -65,12 +64,7 @@ FLAGS: dict[str, network.Flags] = {
     "flat": {},
 }
 
-OF_PICTURES: network.Flags = {
-    "threads": cli.value(
-        "T", cli.whole_number, "0 = one for each processor; normals do not depend on it"
-    ),
-    **STORED,
-}
+OF_PICTURES: network.Flags = {"threads": cli.THREADS, **STORED}
 FLAGS["pictures"] = {
     **OF_PICTURES,
     "color_space": FLAGS["marigold"]["color_space"],
@@ -169,33 +163,29 @@ def _look_at(scene: Path) -> str:
 
 def _estimated(options: argparse.Namespace) -> tuple[Normals, str]:
     """The normals, and where they come from in words."""
-    kind = kind_of(options.source)
+    kind, scene = kind_of(options.source), options.scene
     given = network.asked_for(options, FLAGS, kind)
     if kind == "marigold":
-        space = given.pop("color_space", None)
-        srgb8, what = shown_to_network(options.scene, given.pop("picture", None), space)
+        srgb8, what = network.shown(scene, given)
         total = given.get("ensemble", ENSEMBLE)
         with cli.progress_bar(total, quiet=options.quiet, unit="prediction") as bar:
             found = estimate(kind, srgb8, fov=0.0, progress=bar.update, **given)
         return found, f"{found.record['model']}, shown {what}"
-    size = completion.picture_size(options.scene)
-    blank: NDArray[np.uint8] = np.zeros((*size, 3), np.uint8)  # only its size matters
-    if kind == "flat":
-        return estimate(kind, blank, fov=0.0), "every surface faces the camera"
-    path = options.source.removeprefix("depth:")
+    path, fov, said = options.source.removeprefix("depth:"), 0.0, "every surface faces the camera"
     if kind == "depth":
-        fov = reading.field_of_view(options.scene, ReadOptions(fov=given.pop("fov", None)))
-        found = estimate(options.source, blank, fov=fov, **given)
-        return found, f"from the depth in {path}, field of view {fov:g} degrees"
-    convention = scene_folder.read_settings(options.scene / "scene.toml").convention
-    named = re.search(r"(?i)nor(?:mals?)?_?(?:(dx|directx)|gl|opengl)(?![a-z])", Path(path).stem)
-    if "convention" in given:
-        given["axes"] = given.pop("convention")
-    elif named:
-        given["axes"] = "directx" if named[1] else "opengl"
-    convention = dataclasses.replace(convention, **given)
-    found = estimate(path, blank, fov=0.0, convention=convention)
-    return found, f"{path}, {convention}"
+        fov = reading.read_surface(scene, ReadOptions(fov=given.pop("fov", None))).fov
+        said = f"from the depth in {path}, field of view {fov:g} degrees"
+    elif kind == "file":
+        axes = given.pop("convention", None)
+        if named := re.search(
+            r"(?i)nor(mals?)?_?((dx|directx)|gl|opengl)(?![a-z])", Path(path).stem
+        ):
+            axes = axes or ("directx" if named[3] else "opengl")
+        convention = scene_folder.read_settings(scene / "scene.toml").convention
+        given = {"convention": replace(convention, **given, **({"axes": axes} if axes else {}))}
+        said = f"{path}, {given['convention']}"
+    blank: NDArray[np.uint8] = np.zeros((*completion.picture_size(scene), 3), np.uint8)
+    return estimate(options.source, blank, fov=fov, **given), said  # only their size matters
 
 
 def _facts(found: Normals) -> list[str]:

@@ -6,19 +6,26 @@ A single scene has a table of its own, with verdicts; of several each has a row.
 from __future__ import annotations
 
 import json
-import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 from pbrfit.batch.driver import Attempt, repeat_log
 from pbrfit.batch.scenes import SceneOutcome, SceneTask, rmse_in_words
 from pbrfit.commands.messages import complain, in_flags, unread_is_no_failure
 from pbrfit.commands.progress import progress_bar
-from pbrfit.commands.terminal import DIM, columns_of, held_out_lines, marked, painted, verdict_lines
+from pbrfit.commands.terminal import (
+    DIM,
+    columns_of_stdout,
+    held_out_lines,
+    marked,
+    painted,
+    verdict_lines,
+)
+from pbrfit.io.json_files import as_json
 from pbrfit.io.quoting import shown
 from pbrfit.result.result import REPORT_FILE
 from pbrfit.result.verdict import LEVELS, PARAMETERS, Level, nothing_usable
@@ -138,9 +145,9 @@ def _as_json(task: SceneTask, attempt: Attempt[SceneOutcome]) -> str:
     facts = ("peak_bytes", "stop_reason", "iterations")  # null of scenes that failed
     line |= {name: getattr(outcome, name, None) for name in facts}
     held_out, verdicts = getattr(outcome, "held_out", None), getattr(outcome, "verdicts", {})
-    line["held_out"] = None if held_out is None else asdict(held_out)
+    line["held_out"] = as_json(held_out)
     line["metrics"] = dict(getattr(outcome, "metrics", {}))
-    line["verdicts"] = {name: asdict(one) for name, one in verdicts.items()}
+    line["verdicts"] = as_json(verdicts)
     return json.dumps(line)
 
 
@@ -163,14 +170,14 @@ def batch_table(rows: Sequence[Row], seconds: float) -> list[str]:
         return line("scene", "status", ("residual", "held out"), maps, "seconds")
 
     words: dict[Level, str] = {level: level for level in LEVELS}
-    of_level, columns = max(map(len, LEVELS)), columns_of(sys.stdout)
+    of_level, columns = max(map(len, LEVELS)), columns_of_stdout()
     if columns is not None and len(head(of_level)) > columns:
         words = {level: level.split()[0] for level in LEVELS}
         of_level = max(map(len, PARAMETERS)) - 2
-    lines = [painted(head(of_level), DIM, sys.stdout)]
+    lines = [painted(head(of_level), DIM)]
     for row in rows:
         levels = [
-            " ".join(marked(level, sys.stdout, f"{words[level]:<{of_level}}"))
+            " ".join(marked(level, f"{words[level]:<{of_level}}"))
             if level is not None
             else " " * (2 + of_level)
             for level in row.levels

@@ -7,9 +7,9 @@ import argparse
 import numpy as np
 
 from pbrfit.acquire import segments
-from pbrfit.acquire.photo import shown_to_network
 from pbrfit.commands import arguments as cli
 from pbrfit.commands import network_options as network
+from pbrfit.io import images
 from pbrfit.scene import completion
 from pbrfit.scene.folder import SEGMENT_FILE
 
@@ -49,12 +49,15 @@ def run(options: argparse.Namespace) -> int:
     kind = "sam2" if options.source == "sam2" else "file"
     given = network.asked_for(options, FLAGS, kind)
     if kind == "sam2":
-        space = given.pop("color_space", None)
-        picture, _ = shown_to_network(options.scene, given.pop("picture", None), space)
+        picture, _ = network.shown(options.scene, given)
     else:
         picture = np.zeros((*completion.picture_size(options.scene), 3), np.uint8)
     ids, record = segments.segment(options.source, picture, **given)
-    path = completion.add_segments(options.scene, ids, overwrite=options.overwrite)
+    path = completion.add_map(
+        *(options.scene, "segments", [SEGMENT_FILE], ids),
+        lambda path: images.write_png(path, ids, tag=None),
+        overwrite=options.overwrite,
+    )
     count = record["segments"]
     segmented = f"{count} segment{'s' if count != 1 else ''}"
     cli.tell(options, [f"{path}: {segmented}, {100 * np.mean(ids > 0):.0f} % of the picture"])

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from pbrfit.display.tone import encoded
+from pbrfit.display.tone import codes, encoded
 from pbrfit.io.images import encode_png
 
 SIDE = 128
@@ -22,9 +22,6 @@ SIDE = 128
 
 PICTURES_MAX = 24
 """Pictures that are shown: three rows in a notebook."""
-
-SHOWN_MEAN = 0.2
-"""Radiance of the screen, 1 being white, at which the mean of all pictures is shown."""
 
 
 def pictures(
@@ -38,8 +35,8 @@ def pictures(
     step = -(-max(valid.shape) // (2 * SIDE))
     few = np.array(images[:PICTURES_MAX, ::step, ::step])
     few[:, ~valid[::step, ::step]] = np.nan
-    mean = float(np.nanmean(few)) if np.isfinite(few).any() else 0.0
-    shown = encoded(few * (SHOWN_MEAN / mean if mean > 0 else 1.0))
+    white = float(np.nanpercentile(few, 98)) if np.isfinite(few).any() else 0.0
+    shown = encoded(few / (white if white > 0 else 1.0))
     figures = [figure(name, one, SIDE, name) for name, one in zip(names, shown, strict=False)]
     more = [f"{len(names) - len(few)} more pictures"] * (len(names) > len(few))
     return page([*facts, *more], figures)
@@ -55,19 +52,14 @@ def page(facts: Sequence[str], figures: Sequence[str], below: str = "") -> str:
     )
 
 
-def figure(
-    name: str, values: NDArray[np.floating[Any]], side: int, caption: str, before: str = ""
-) -> str:
-    """Values in [0, 1], (H, W, 1 or 3), clear where NaN, above HTML and a caption."""
-    inside = np.isfinite(values).all(axis=-1, keepdims=True)
-    shades = np.broadcast_to(np.where(inside, np.clip(values, 0, 1), 0), (*inside.shape[:2], 3))
-    codes = np.rint(255 * np.concatenate([shades, inside], axis=-1)).astype(np.uint8)
-    small = Image.fromarray(codes)
+def figure(name: str, values: NDArray[np.floating[Any]], side: int, caption: str) -> str:
+    """Values in [0, 1], (H, W, 1 or 3), clear where NaN, above a caption."""
+    small = Image.fromarray(codes(np.broadcast_to(values, (*values.shape[:2], 3))))
     small.thumbnail((side, side), Image.Resampling.BOX)
     png = base64.b64encode(encode_png(np.asarray(small), "srgb")).decode("ascii")
     style = "width:100%;image-rendering:pixelated;outline:1px solid #8886"  # an edge around black
     return (
         f'<figure style="margin:0;width:{side}px"><img alt="{escape(name)}" '
         f'src="data:image/png;base64,{png}" style="{style}">'
-        f"<figcaption>{before}{escape(caption)}</figcaption></figure>"
+        f"<figcaption>{escape(caption)}</figcaption></figure>"
     )

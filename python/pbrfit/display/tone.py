@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit._core import InputError
+from pbrfit.io.checks import finite, one_of
 from pbrfit.io.color import encode_srgb, over_channels
 
 ToneMap = Literal["none", "neutral"]
@@ -23,14 +23,21 @@ def encoded(
     black, and the tone map ``none`` clips each channel at 1. Raises InputError if `tone_map` is
     another, or `exposure` is not finite.
     """
-    if tone_map not in get_args(ToneMap):
-        expected = ", ".join(get_args(ToneMap))
-        raise InputError(f"tone_map: expected one of {expected}, found {tone_map!r}")
-    if not np.isfinite(exposure):
-        raise InputError(f"exposure: expected a number of stops, found {exposure}")
+    one_of("tone_map", tone_map, ToneMap)
+    finite("exposure", exposure, "a number of stops")
     exposed = np.maximum(np.asarray(radiance, dtype=np.float64) * 2.0**exposure, 0.0)
     shown = neutral(exposed) if tone_map == "neutral" else exposed
     return encode_srgb(np.clip(shown, 0.0, 1.0))
+
+
+def codes(shown: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
+    """Values in [0, 1], (H, W) or (H, W, 3), as 8-bit codes (H, W, C); alpha is 0 where NaN is."""
+    shown = np.atleast_3d(shown)
+    outside = over_channels(np.logical_or, np.isnan(shown))
+    found = np.rint(255 * np.where(outside[..., None], 0.0, np.clip(shown, 0.0, 1.0)))
+    if outside.any():
+        found = np.dstack([found, np.where(outside, 0, 255)])
+    return np.asarray(found, np.uint8)
 
 
 def neutral(radiance: NDArray[np.float64]) -> NDArray[np.float64]:

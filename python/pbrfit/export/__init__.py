@@ -19,8 +19,8 @@ docs/export.md says how tools read them.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +32,7 @@ from pbrfit.export.maps import Bits, Maps, NormalConvention
 from pbrfit.export.presets import Format, Plan, PresetName, plan
 from pbrfit.export.view_mesh import Geometry
 from pbrfit.io import images
-from pbrfit.io.json_files import UNFIT, path_text, read_json, write_json
+from pbrfit.io.json_files import UNFIT, as_json, path_text, read_json, write_json
 from pbrfit.io.output import FolderForm, new_folder
 from pbrfit.model.materials import write_materials
 from pbrfit.result.result import Result
@@ -58,6 +58,10 @@ def _listed(folder: Path) -> list[str]:
 
 
 EXPORT_FOLDER = FolderForm(contains=(MANIFEST,), holds=(MANIFEST,), listed=_listed)
+
+
+_At = Callable[[str, str, str], Path]
+"""Gives the place of a file, of its name, what it holds and how its values are encoded."""
 
 
 @dataclass(frozen=True)
@@ -146,46 +150,53 @@ def export_result(
     maps = Maps.of(result)
     wanted = height and {"exr", "png"} & {*planned.formats}
     displacement = Displacement.of(result) if wanted else None
-    files: list[ExportedFile] = []
+    said: dict[str, tuple[str, str]] = {}
     with new_folder(Path(path), overwrite=overwrite, form=EXPORT_FOLDER) as folder:
 
-        def put(name: str, content: bytes, holds: str, color_space: str) -> None:
-            (folder / name).write_bytes(content)
-            files.append(_file(folder, name, holds, color_space))
+        def at(name: str, holds: str, color_space: str) -> Path:
+            said[name] = holds, color_space
+            (folder / name).parent.mkdir(exist_ok=True)
+            return folder / name
 
         colors = "base color sRGB, all else linear"
         if "gltf" in planned.formats:
             holds = f"{planned.geometry} with textures, and the camera of the pictures"
             content = glb(maps, result.fov, planned.bits, planned.geometry)
-            put("material.glb", content, holds, colors)
+            at("material.glb", holds, colors).write_bytes(content)
         if "exr" in planned.formats:
-            files += _write_exr(folder, maps, planned, result, displacement)
+            _write_exr(at, maps, planned, result, displacement)
         if "png" in planned.formats:
-            files += _write_png(folder, maps, planned, displacement)
+            _write_png(at, maps, planned, displacement)
         if "mtlx" in planned.formats:
-            put("material.mtlx", materialx.mtlx(planned).encode(), materialx.HOLDS, colors)
+            file = at("material.mtlx", materialx.HOLDS, colors)
+            file.write_bytes(materialx.mtlx(planned).encode())
         if preset == "blender" and "png" in planned.formats:
-            put(blender.ZIP_FILE, blender.extension(), blender.ZIP_HOLDS, "none")
+            at(blender.ZIP_FILE, blender.ZIP_HOLDS, "none").write_bytes(blender.extension())
         for form, (make, holds) in rti.FILES.items():
             if form in planned.formats:
                 content, white = make(result)
-                put(f"relit.{form}", content, holds, _codes(white))
+                at(f"relit.{form}", holds, _codes(white)).write_bytes(content)
         if "openlime" in planned.formats:
             of_web, white = rti.openlime(result)
-            (folder / rti.WEB_FOLDER).mkdir()
             for name, one in of_web.items():
-                put(f"{rti.WEB_FOLDER}/{name}", one, rti.WEB_HOLDS[name], _codes(white))
-        (folder / "lights").mkdir()
+                file = at(f"{rti.WEB_FOLDER}/{name}", rti.WEB_HOLDS[name], _codes(white))
+                file.write_bytes(one)
         if "lp" in planned.formats or rti.one_lamp_a_picture(result.lamps, len(result.pictures)):
-            put(f"lights/{rti.LP_FILE}", rti.lp(result).encode(), rti.LP_HOLDS, "unit vectors")
-        panoramas = lights.write_lights(folder / "lights", result)
+            file = at(f"lights/{rti.LP_FILE}", rti.LP_HOLDS, "unit vectors")
+            file.write_bytes(rti.lp(result).encode())
         for name, holds in lights.FILES.items():
-            file = f"lights/{name}"
-            files.append(_file(folder, file, holds, "linear, Rec.709 primaries, D65"))
+            file = at(f"lights/{name}", holds, "linear, Rec.709 primaries, D65")
+        panoramas = lights.write_lights(file.parent, result)
         for light in panoramas:
             holds = f"panorama of the light of {light.picture}"
-            holds += f"; lights differently by {light.difference:.2%}"
-            files.append(_file(folder, f"lights/{light.file}", holds, _LINEAR))
+            at(
+                f"lights/{light.file}",
+                f"{holds}; lights differently by {light.difference:.2%}",
+                _LINEAR,
+            )
+        files = tuple(
+            ExportedFile(name, *of, (folder / name).stat().st_size) for name, of in said.items()
+        )
         _write_manifest(folder / MANIFEST, result, planned, files, displacement)
     much = [light for light in panoramas if light.difference >= DIFFERENCE_WARNED]
     if much:
@@ -196,7 +207,7 @@ def export_result(
             *(Path(path) / "lights", len(much), len(panoramas), 100 * DIFFERENCE_WARNED),
             *(worst.picture, 100 * worst.difference),
         )
-    return Exported(tuple(files), panoramas)
+    return Exported(files, panoramas)
 
 
 def _codes(white: float) -> str:
@@ -204,60 +215,46 @@ def _codes(white: float) -> str:
 
 
 def _write_exr(
-    folder: Path, maps: Maps, planned: Plan, result: Result, displacement: Displacement | None
-) -> Iterator[ExportedFile]:
-    (folder / "exr").mkdir()
-    path = "exr/materials.exr"
+    at: _At, maps: Maps, planned: Plan, result: Result, displacement: Displacement | None
+) -> None:
+    file = at("exr/materials.exr", "all maps as layers; normals as vectors, Y up", _LINEAR)
     layers = result.further_layers(), result.whole_layers()
-    write_materials(folder / path, result.materials, result.normals, result.mask, *layers)
-    yield _file(folder, path, "all maps as layers; normals as vectors, Y up", _LINEAR)
+    write_materials(file, result.materials, result.normals, result.mask, *layers)
     for texture in planned.textures:
-        path = f"exr/{texture.name}.exr"
         values = maps.floats(texture)
         letters = "Y" if values.shape[-1] == 1 else "RGBA"
-        images.write_exr(
-            folder / path, {letters[c]: values[..., c] for c in range(values.shape[-1])}
-        )
         encoding = _LINEAR if texture.color else _DATA
-        yield _file(folder, path, "; ".join(texture.channels), encoding)
+        file = at(f"exr/{texture.name}.exr", "; ".join(texture.channels), encoding)
+        images.write_exr(file, {letters[c]: values[..., c] for c in range(values.shape[-1])})
     if displacement is not None:
-        path = f"exr/{planned.displacement}.exr"
-        images.write_exr(folder / path, {"Y": displacement.height})
-        yield _file(folder, path, "height towards the viewer in picture widths", _DATA)
+        holds = "height towards the viewer in picture widths"
+        file = at(f"exr/{planned.displacement}.exr", holds, _DATA)
+        images.write_exr(file, {"Y": displacement.height})
 
 
-def _write_png(
-    folder: Path, maps: Maps, planned: Plan, displacement: Displacement | None
-) -> Iterator[ExportedFile]:
-    (folder / "png").mkdir()
+def _write_png(at: _At, maps: Maps, planned: Plan, displacement: Displacement | None) -> None:
     for texture in planned.textures:
         bits = planned.bits or texture.bits
-        path = f"png/{texture.name}.png"
-        values = maps.integers(texture, bits)
-        images.write_png(folder / path, values, "srgb" if texture.color else "linear")
-        holds = "; ".join(texture.channels)
-        yield _file(folder, path, holds, f"{texture.color_space}; {bits} bits")
+        holds, encoding = "; ".join(texture.channels), f"{texture.color_space}; {bits} bits"
+        file = at(f"png/{texture.name}.png", holds, encoding)
+        images.write_png(file, maps.integers(texture, bits), "srgb" if texture.color else "linear")
     if displacement is not None:
-        bits, path = planned.bits or 16, f"png/{planned.displacement}.png"
-        images.write_png(folder / path, displacement.integers(bits), "linear")
+        bits = planned.bits or 16
         limits = f"{displacement.low:.6g} (0) to {displacement.high:.6g}"
         holds = f"height towards the viewer, from {limits} picture widths (white)"
-        yield _file(folder, path, holds, f"data, linear; {bits} bits")
+        file = at(f"png/{planned.displacement}.png", holds, f"data, linear; {bits} bits")
+        images.write_png(file, displacement.integers(bits), "linear")
 
 
 _LINEAR = "linear, Rec.709 primaries, D65; float32"
 _DATA = "data, linear; float32"
 
 
-def _file(folder: Path, path: str, holds: str, color_space: str) -> ExportedFile:
-    return ExportedFile(path, holds, color_space, (folder / path).stat().st_size)
-
-
 def _write_manifest(
     path: Path,
     result: Result,
     planned: Plan,
-    files: list[ExportedFile],
+    files: tuple[ExportedFile, ...],
     displacement: Displacement | None,
 ) -> None:
     from pbrfit import __version__
@@ -272,7 +269,7 @@ def _write_manifest(
         ],
     }
     if result.uncertainty is not None:
-        content["verdicts"] = {name: asdict(one) for name, one in result.verdicts.items()}
+        content["verdicts"] = as_json(result.verdicts)
     if displacement is not None:
         content["displacement"] = displacement.as_json()
     write_json(path, content)

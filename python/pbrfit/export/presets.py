@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Literal
 
 from pbrfit._core import InputError
 from pbrfit.export.maps import (
@@ -16,6 +16,7 @@ from pbrfit.export.maps import (
     Texture,
 )
 from pbrfit.export.view_mesh import Geometry
+from pbrfit.io.checks import one_of
 
 Format = Literal["gltf", "exr", "png", "mtlx", "lp", "ptm", "rti", "openlime"]
 PresetName = Literal["blender", "unreal", "unity"]
@@ -128,10 +129,8 @@ def plan(
         ("bits", bits, Bits),
         ("geometry", geometry, Geometry),
     ):
-        known = get_args(kind)
-        if value is not None and value not in known:
-            expected = ", ".join(map(str, known))
-            raise InputError(f"{name}: expected one of {expected}, found {value!r}")
+        if value is not None:
+            one_of(name, value, kind)
     if format in ("gltf", "mtlx") and preset is not None:
         raise InputError(
             f"preset: expected none with format {format}, which packs textures in one way, "

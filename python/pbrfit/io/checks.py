@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from math import inf, isfinite
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +65,14 @@ def finite(
     if isfinite(found) and least <= found <= most:
         return found
     raise InputError(f"{name}: expected {expected}, found {of_what(value)}")
+
+
+def one_of(name: str, value: Any, known: Any) -> None:
+    """Refuse what is none of some values: a sequence of them, or a `Literal`."""
+    values = get_args(known) or tuple(known)
+    if not isinstance(value, (str, int)) or value not in values:
+        expected = ", ".join(map(str, values))
+        raise InputError(f"{name}: expected one of {expected}, found {of_what(value)}")
 
 
 def of_what(value: Any) -> str:

@@ -12,7 +12,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pbrfit._core import InputError, average_light
+from pbrfit._core import average_light
+from pbrfit.io.checks import one_of
 from pbrfit.io.limits import Limits, converted
 
 ColorSpace = Literal["srgb", "linear", "acescg", "display-p3", "adobe-rgb"]
@@ -230,8 +231,7 @@ def _table(curve: Curve | float, levels: int) -> NDArray[np.float32]:
 
 def conversion(space: ColorSpace) -> Conversion:
     """Conversion from a named colour space; InputError if it is not one of `ColorSpace`."""
-    if space not in _SPACES:
-        raise InputError(f"color_space: expected one of {', '.join(_SPACES)}, found {space!r}")
+    one_of("color_space", space, ColorSpace)
     return from_primaries(*_SPACES[space])
 
 

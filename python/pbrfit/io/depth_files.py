@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io import layers
+from pbrfit.io.checks import finite
 from pbrfit.io.images import read_stored
 from pbrfit.io.input_files import there
 from pbrfit.io.quoting import listed, shown
@@ -37,9 +38,7 @@ def read_depth(
     more than 8 bits, and whole numbers where it has a unit: those that pbrfit wrote are metres by
     then. Raises InputError if there is no such depth in it, OSError if it cannot be read.
     """
-    if not 0 < unit < np.inf:
-        expected = f"{', '.join(METRES)} or a number above 0"
-        raise InputError(f"unit: expected {expected}, found {unit:g}")
+    finite("unit", unit, f"{', '.join(METRES)} or a number above 0", np.finfo(float).tiny)
     said = [f"times {unit:g}"] * (unit != 1)
     stored = read_stored(path)
     if isinstance(stored, dict):

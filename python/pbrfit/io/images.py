@@ -10,14 +10,13 @@ import contextlib
 import hashlib
 import io
 import logging
-import math
 import operator
 import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 from numpy.lib import format as npy
@@ -27,11 +26,12 @@ from pbrfit import _core
 from pbrfit._core import InputError
 from pbrfit.io import color as coding
 from pbrfit.io import exif, layers, radiance, raw_files
+from pbrfit.io.checks import one_of
 from pbrfit.io.color import ColorSpace, Conversion, Curve, Place, Primaries
 from pbrfit.io.file_noise import Stored, read_tables
 from pbrfit.io.input_files import PICTURE_BYTES, content_of, names_file, open_file, read_bytes
 from pbrfit.io.limits import AT_LEAST, AT_MOST, ORDINARY, Limits
-from pbrfit.io.quoting import quoted, shown
+from pbrfit.io.quoting import shown
 
 logger = logging.getLogger("pbrfit")
 
@@ -138,9 +138,7 @@ def read_picture(
     and columns are enough, two a pixel. Raises InputError if content or an argument is unusable.
     """
     asked = None if code_range is None else checked_codes(code_range)
-    if orientation not in (known := get_args(Orientation)):
-        expected = f"orientation: expected one of {', '.join(known)}"
-        raise InputError(f"{expected}, found {quoted(orientation)}")
+    one_of("orientation", orientation, Orientation)
     path = Path(path)
     file = file_of(path)
     page = int(path.stem.rpartition("_")[2]) - 1 if file != path else None
@@ -305,22 +303,16 @@ def read_stored(path: Path) -> NDArray[Any] | dict[str, NDArray[np.float32]]:
         turn = raster.orientation if header is None else header.orientation
         return exif.turned(raster.samples, turn)
     content = read_bytes(path, PICTURE_BYTES)  # a mapped file that shrinks would end the process
-    head = io.BytesIO(content)
     try:
         with exif.without_warnings():  # about headers of long ago
-            readers = {(1, 0): npy.read_array_header_1_0}  # later ones are alike but for names
-            read = readers.get(npy.read_magic(head), npy.read_array_header_2_0)
-            shape, by_columns, dtype = read(head)
-        if dtype.kind not in "uif" or any(type(size) is not int or size < 1 for size in shape):
-            raise ValueError(f"{dtype} of shape {shape}")
-        array = np.frombuffer(content, dtype, math.prod(shape), head.tell())
-    except MemoryError:
-        raise
+            array = np.load(io.BytesIO(content), allow_pickle=False)
+        if array.dtype.kind not in "uif" or not array.size:
+            raise ValueError(f"{array.dtype} of shape {array.shape}")
     except Exception as error:  # headers are Python expressions, and fail in all ways of these
         expected = "expected an array of real numbers in .npy"
         raise InputError(f"{path}: {expected}, found {shown(error)}") from None
     with np.errstate(all="ignore"):  # of more than 64 bits; infinity is no normal, and no depth
-        return array.reshape(shape, order="F" if by_columns else "C").astype(np.float64)
+        return np.asarray(array, np.float64)
 
 
 def write_exr(
@@ -330,15 +322,9 @@ def write_exr(
 
     Channels are (H, W) arrays by name, of one shape; `half` writes 16-bit floats, where values
     beyond 65504 become infinite. Equal channels give equal bytes. An existing file is replaced, as
-    a whole or not at all. Raises InputError if there is no channel or their shapes differ.
+    a whole or not at all. Raises InputError if there is no channel or their sizes differ.
     """
-    planes = []
-    for name, channel in channels.items():
-        plane = np.asarray(channel, dtype=np.float32)
-        planes.append((name, plane))
-        if plane.ndim != 2 or plane.shape != planes[0][1].shape:
-            expected = f"(H, W) in all as in {planes[0][0]}"
-            raise InputError(f"channels: expected {expected}, found {plane.shape} in {name}")
+    planes = [(name, np.asarray(channel, dtype=np.float32)) for name, channel in channels.items()]
     _core.write_exr(path, planes, half)
 
 

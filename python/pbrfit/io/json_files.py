@@ -10,13 +10,16 @@ import math
 import re
 import tomllib
 from collections.abc import Mapping
+from dataclasses import is_dataclass
 from functools import partial
+from itertools import repeat
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from pbrfit._core import InputError
 from pbrfit.io.input_files import TEXT_BYTES, read_text
-from pbrfit.io.quoting import quoted, shown
+from pbrfit.io.quoting import listed, quoted, shown
 
 UNFIT = (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError)
 """What it may come to when content is taken for what it is not."""
@@ -68,39 +71,20 @@ def unfit(path: Path | str, expected: str, error: Exception) -> InputError:
     return InputError(f"{path}: expected {expected}, found {type(error).__name__}: {shown(error)}")
 
 
-def number(value: Any, least: float = -math.inf, most: float = math.inf) -> float:
-    """Check a finite number from `least` to `most`."""
+def number(value: Any) -> float:
+    """Check a finite number."""
     found = float(_a(value, (int, float), "a number"))
-    if not (math.isfinite(found) and least <= found <= most):
-        raise ValueError(f"{value} in place of a finite number in [{least:g}, {most:g}]")
+    if not math.isfinite(found):
+        raise ValueError(f"{value} in place of a finite number")
     return found
 
 
-positive, share = partial(number, least=0.0), partial(number, least=0.0, most=1.0)
-"""Check a finite number that is not negative, or from 0 to 1."""
-
-
-def figures(value: Any) -> dict[str, float]:
-    """Check numbers by name; null, which stands for what JSON has no number for, is NaN."""
-    return {k: math.nan if v is None else number(v) for k, v in table(value).items()}
-
-
-def finite_or_null(numbers: Mapping[str, float]) -> dict[str, float | None]:
-    """Undo `figures`: infinite numbers and NaN become null."""
-    return {k: float(v) if math.isfinite(v) else None for k, v in numbers.items()}
-
-
-def whole(value: Any, least: int = 0) -> int:
-    """Check a whole number, `least` or more."""
-    what = f"a whole number from {least} on"
-    if not least <= _a(value, int, what) <= MOST:
+def whole(value: Any) -> int:
+    """Check a whole number, 0 or more."""
+    what = "a whole number from 0 on"
+    if not 0 <= _a(value, int, what) <= MOST:
         raise ValueError(f"{quoted(value)} in place of {what}")
     return int(value)
-
-
-def flag(value: Any) -> bool:
-    """Check true or false."""
-    return bool(_a(value, bool, "true or false"))
 
 
 def path_text(value: Any) -> str:
@@ -121,14 +105,56 @@ words = partial(text, errors="surrogateescape")
 """Check a text that need not be UTF-8: names of files are not on every system."""
 
 
-def texts(value: Any) -> tuple[str, ...]:
-    """Check a list of texts."""
-    return tuple(map(text, _a(value, list, "a list")))
-
-
 def table(value: Any) -> dict[str, Any]:
     """Check an object; its keys are texts that can be written to a file."""
     return {text(key): entry for key, entry in _a(value, Mapping, "an object").items()}
+
+
+def as_json(value: Any) -> Any:
+    """What JSON can hold of a value: dataclasses are objects, NaN and infinite numbers null."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if is_dataclass(value) or isinstance(value, Mapping):
+        named = value if isinstance(value, Mapping) else vars(value)
+        return {name: as_json(of) for name, of in named.items()}
+    return list(map(as_json, value)) if isinstance(value, (list, tuple)) else value
+
+
+def read_as(kind: Any, value: Any) -> Any:
+    """A value as a type, as annotations name it: undoes `as_json`.
+
+    A dataclass is an object of its fields and no others; null among numbers by name is NaN.
+    """
+    origin, parts = get_origin(kind), get_args(kind)
+    if isinstance(kind, type) and is_dataclass(kind):
+        given, fields = table(value), get_type_hints(kind)
+        if others := given.keys() ^ fields.keys():
+            raise ValueError(f"{kind.__name__} with or without {listed(others)}")
+        for name, of in fields.items():
+            try:
+                given[name] = read_as(of, given[name])
+            except ValueError as error:
+                raise ValueError(f"{name}: {error}") from None
+        return kind(**given)
+    if origin in (Union, UnionType):
+        return None if value is None else read_as(parts[0], value)
+    if origin is Literal:
+        if value not in parts:
+            raise ValueError(f"{quoted(value)} in place of {', '.join(map(str, parts))}")
+        return value
+    if origin is tuple:
+        entries = _a(value, list, "a list")
+        kinds = repeat(parts[0], len(entries)) if parts[-1] is Ellipsis else parts
+        return tuple(read_as(of, one) for of, one in zip(kinds, entries, strict=True))
+    if origin is Mapping:
+        nan = parts[1] is float
+        return {
+            name: math.nan if nan and entry is None else read_as(parts[1], entry)
+            for name, entry in table(value).items()
+        }
+    if kind is bool:
+        return _a(value, bool, "true or false")
+    return {str: text, int: whole, float: number}.get(kind, kind)(value)
 
 
 def _a(value: Any, kind: type | tuple[type, ...], what: str) -> Any:

@@ -11,7 +11,7 @@ import logging
 import math
 import re
 import unicodedata
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -134,9 +134,9 @@ def read_lamps(path: Path) -> tuple[list[LampRow], str]:
     return [row if row.near else replace(row, place=unit(row.place)) for row in rows], said
 
 
-def write_lamps(path: Path, rows: Iterable[LampRow]) -> None:
-    """Write `lights.json`."""
-    write_json(path, {"version": VERSION, "lamps": [row_as_json(row) for row in rows]})
+def write_lamps(path: Path, entries: Sequence[Any]) -> None:
+    """Write `lights.json`, of entries as `rows_of_json` reads them."""
+    write_json(path, {"version": VERSION, "lamps": entries})
 
 
 def unit(vector: Vector) -> Vector:
@@ -338,17 +338,6 @@ def _numbers(value: Any, *, known: bool = True) -> Vector:
         raise ValueError(f"{quoted(value)} in place of three numbers")
     x, y, z = (math.nan if one is None and not known else number(one) for one in value)
     return x, y, z
-
-
-def row_as_json(row: LampRow) -> dict[str, Any]:
-    """What `rows_of_json` reads."""
-    made: dict[str, Any] = {"picture": row.picture}
-    made["position" if row.near else "direction"] = list(row.place)
-    if not all(map(math.isnan, row.color)):
-        made["color"] = [None if math.isnan(value) else value for value in row.color]
-    if row.near and (row.exponent or row.axis != LampRow.axis):
-        made |= {"axis": list(row.axis), "exponent": row.exponent}
-    return made
 
 
 def matched(path: Path, given: Sequence[str], names: Sequence[str]) -> tuple[list[int], str]:

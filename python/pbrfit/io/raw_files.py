@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.io import exif
 from pbrfit.io.color import REC709, rgb_to_xyz
-from pbrfit.io.input_files import PICTURE_BYTES, read_bytes
 from pbrfit.io.limits import AT_LEAST, Limits, converted
 from pbrfit.io.quoting import shown
 
@@ -93,12 +92,6 @@ def develop(
         balance += f" {red / green:.3g}, 1, {blue / green:.3g}"
     color = f"linear Rec.709, {balance} (raw file, LibRaw)"
     return np.ascontiguousarray(samples), limits, color, taken
-
-
-def size(path: Path) -> tuple[int, int]:
-    """(height, width) of a raw file before it is turned; InputError as `develop`."""
-    with _opened(path, read_bytes(path, PICTURE_BYTES)) as (_, raw):
-        return int(raw.sizes.height), int(raw.sizes.width)
 
 
 @contextmanager

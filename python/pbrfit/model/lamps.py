@@ -12,6 +12,7 @@ with an exponent of 0 where it shines alike to all sides.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -21,7 +22,8 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io.checks import reals
-from pbrfit.io.lamp_files import LampRow, Vector
+from pbrfit.io.json_files import as_json
+from pbrfit.io.lamp_files import LampRow
 
 Array = NDArray[np.float64]
 
@@ -151,21 +153,15 @@ def lamps_of_rows(rows: Sequence[LampRow], pictures: Sequence[int]) -> Lamps:
     return Lamps(np.array(pictures, np.intp)[order], places, near, colors, axes, exponents)
 
 
-def rows_of_lamps(lamps: Lamps, names: Sequence[str]) -> list[LampRow]:
-    """Rows of lamps of pictures with these names; axes only where light is gathered about them."""
-    return [
-        LampRow(
-            names[lamps.pictures[i]],
-            _vector(lamps.places[i]),
-            bool(lamps.near[i]),
-            _vector(lamps.colors[i]),
-            _vector(lamps.axes[i]) if lamps.exponents[i] > 0 else LampRow.axis,
-            float(lamps.exponents[i]),
-        )
-        for i in range(len(lamps))
-    ]
-
-
-def _vector(row: NDArray[np.float64]) -> Vector:
-    x, y, z = row.tolist()
-    return x, y, z
+def entries_of_lamps(lamps: Lamps, names: Sequence[str]) -> list[dict[str, Any]]:
+    """Entries, as files have them, of lamps of pictures with these names."""
+    found = []
+    for k, i in enumerate(lamps.pictures):
+        place, color, axis = (of[k].tolist() for of in (lamps.places, lamps.colors, lamps.axes))
+        entry = {"picture": names[i], "position" if lamps.near[k] else "direction": place}
+        if not all(map(math.isnan, color)):
+            entry["color"] = as_json(color)
+        if lamps.near[k] and lamps.exponents[k] > 0:
+            entry |= {"axis": axis, "exponent": float(lamps.exponents[k])}
+        found.append(entry)
+    return found

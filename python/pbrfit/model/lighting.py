@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io.checks import finite, of_what, real_array
-from pbrfit.io.json_files import UNFIT, read_json, table, texts, unfit, write_json
-from pbrfit.io.lamp_files import LENGTH_OFF_MAX, row_as_json, rows_of_json, unit
+from pbrfit.io.json_files import UNFIT, read_as, read_json, table, unfit, write_json
+from pbrfit.io.lamp_files import LENGTH_OFF_MAX, rows_of_json, unit
 from pbrfit.io.quoting import quoted, shown
-from pbrfit.model.lamps import Lamps, lamps_of_rows, rows_of_lamps
+from pbrfit.model.lamps import Lamps, entries_of_lamps, lamps_of_rows
 from pbrfit.model.reflection import sh_basis
 
 BAND_OF = np.repeat(np.arange(4), 2 * np.arange(4) + 1)
@@ -59,7 +59,7 @@ class Lighting:
             "coefficients": self.coefficients.tolist(),
         }
         if self.lamps is not None:
-            content["lamps"] = [row_as_json(of) for of in rows_of_lamps(self.lamps, self.pictures)]
+            content["lamps"] = entries_of_lamps(self.lamps, self.pictures)
         write_json(path, content)
 
     @classmethod
@@ -73,7 +73,7 @@ class Lighting:
         try:
             content = table(content)
             basis, order = content["basis"], content["order"]
-            pictures = texts(content["pictures"])
+            pictures = read_as(tuple[str, ...], content["pictures"])
             stored = np.array(content["coefficients"])
             if stored.dtype.kind not in "if":
                 raise ValueError(f"coefficients of type {stored.dtype}")

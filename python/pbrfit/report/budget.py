@@ -2,91 +2,56 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial
-from itertools import accumulate
-from typing import Generic, TypeVar
-
-import numpy as np
-
-from pbrfit.threads import in_turn
-
-T = TypeVar("T")
 
 LIMIT = 20_000_000
 """Bytes that a page has at most."""
 
 VIEW_SHARE = 0.6
-"""Share of the limit that the view may take; what a part does not need goes to the next."""
+"""Share of the limit that the view may take; the rest of the page has what it leaves."""
 
 FILM_SHARE = 0.15
 """Share of the limit that pictures to compare with may take; they are a part of the view."""
 
-MAPS_SHARE = 0.5
-"""Share of what the view leaves that the maps may take; pictures have the rest."""
-
 VIEW_SIDES = (4096, 3072, 2560, 2048, 1792, 1536, 1280, 1024, 896, 768, 640, 512, 384, 256, 128)
 """Longer sides that the maps of the view may have, in pixels."""
 
-MAP_SIDES = (384, 256, 192, 128)
-"""Longer sides of the maps beside each other; in the view they are larger."""
+SIDES = (384, 256, 192, 128)
+"""Longer sides of maps, and of pictures beside their reconstructions."""
 
-PICTURE_SIDES = (384, 256, 192, 128)
-"""Longer sides of the pictures beside their reconstructions."""
-
-
-@dataclass(frozen=True)
-class Fitted(Generic[T]):
-    """What was made, how large it is, and the side it was made with."""
-
-    made: T
-    bytes: int
-    side: int
+Choice = tuple[int, int]
+"""A longer side in pixels, and how many pictures have it."""
 
 
-def sides_for(longer: int, sides: Sequence[int]) -> list[int]:
-    """Sides that make sense for a picture: its own where it is smaller than the largest."""
-    return [min(longer, sides[0]), *(side for side in sides[1:] if side < min(longer, sides[0]))]
+def choices(longer: int, sides: Sequence[int], pictures: int = 1) -> list[Choice]:
+    """Sides that make sense for so many pictures, their own where it is smaller than the largest.
+
+    Then, at the smallest, half as many pictures, and so on to none.
+    """
+    first = min(longer, sides[0])
+    found = [(first, pictures), *((side, pictures) for side in sides[1:] if side < first)]
+    while found[-1][1] > 0:
+        found.append((found[-1][0], found[-1][1] // 2))
+    return found
 
 
 def largest_that_fits(
-    make: Callable[[int], T], size: Callable[[T], int], sides: Sequence[int], limit: float
-) -> Fitted[T]:
-    """Make something with the largest of the (falling) `sides` at which it fits into `limit` bytes.
+    make: Callable[[Choice], str], choices: Sequence[Choice], limit: float
+) -> tuple[str, Choice]:
+    """Make text by the first of falling choices at which it has at most `limit` bytes, or the last.
 
-    Bytes grow about as the square of the side, so few are tried. The smallest side is taken even
-    where it does not fit.
+    Bytes grow about as the area of the pictures, so few are tried.
     """
-    i = 0
+    choice, *left = choices
     while True:
-        made = make(sides[i])
-        taken = size(made)
-        if taken <= limit or i == len(sides) - 1:
-            return Fitted(made, taken, sides[i])
-        expected = sides[i] * math.sqrt(limit / taken)
-        fits = [j for j in range(i + 1, len(sides)) if sides[j] <= expected]
-        i = fits[0] if fits else len(sides) - 1
+        made = make(choice)
+        taken = len(made.encode("utf-8", "replace"))
+        if taken <= limit or not left:
+            return made, choice
+        expected = _area(choice) * limit / taken
+        choice, *left = [one for one in left if _area(one) <= expected] or left[-1:]
 
 
-def choose(
-    sides: int, count: int, size: Callable[[int, int], int], limit: float
-) -> tuple[int, list[int]]:
-    """Choose how large and which of many pictures are shown.
-
-    `size(side, i)` are the bytes of picture i at a side, 0 the largest of all `sides`; they are
-    asked for only as far as they are needed. `limit` is the bytes of all that are shown. Returns
-    the index of the largest side at which all fit and all pictures; or the smallest side and as
-    many, evenly spread, as fit at it.
-    """
-    for side in range(sides):
-        taken = in_turn(0, partial(size, side), range(count))
-        if all(total <= limit for total in accumulate(taken)):
-            return side, list(range(count))
-    side = sides - 1
-    for shown in range(count - 1, 0, -1):
-        chosen = np.linspace(0, count - 1, shown).round().astype(int).tolist()
-        if sum(size(side, i) for i in chosen) <= limit:
-            return side, chosen
-    return side, []
+def _area(choice: Choice) -> int:
+    side, pictures = choice
+    return side * side * pictures

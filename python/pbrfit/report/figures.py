@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pbrfit.io.color import encode_srgb
 from pbrfit.report.html import address, in_base64
@@ -106,6 +107,6 @@ def css(color: np.ndarray) -> str:
     return f"#{red:02x}{green:02x}{blue:02x}"
 
 
-def css_of_light(color: Sequence[float]) -> str:
+def css_of_light(color: ArrayLike) -> str:
     """A colour (3,), linear in [0, 1], for a style sheet."""
-    return css(encode_srgb(np.array(color)))
+    return css(encode_srgb(color))

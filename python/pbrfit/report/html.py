@@ -11,10 +11,18 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
+from pathlib import Path
 from typing import Literal
 
 from pbrfit.io.quoting import visible
-from pbrfit.report import theme
+
+THEME_BUTTON = (
+    '<button type="button" class="theme tool" hidden aria-label="Light or dark theme" '
+    'title="Light or dark theme"><svg viewBox="0 0 24 24" aria-hidden="true">'
+    '<circle cx="12" cy="12" r="8"/><path d="M12 4a8 8 0 0 1 0 16z" fill="currentColor"/></svg>'
+    "</button>"
+)
+"""Switches between the themes; hidden where no script runs."""
 
 Look = Literal["", "name", "number", "best", "pass", "fail", "note", "why", "hash"]
 """How a cell looks: a name on one line, a figure that is aligned right, a verdict, a remark."""
@@ -50,6 +58,11 @@ class Table:
     caption: str = ""
 
 
+def text_of(name: str) -> str:
+    """A file of this room, such as a style sheet."""
+    return (Path(__file__).parent / name).read_text(encoding="utf-8")
+
+
 def document(
     title: str,
     body: str,
@@ -65,7 +78,8 @@ def document(
     a class of `style`, has the theme's button in its own place. Letters that turn the direction of
     writing, and controls, are shown as \ufffd.
     """
-    scripts = [theme.script(), *within, *([script] if script else [])]
+    of_theme = text_of("theme.js")
+    scripts = [of_theme, *within, *([script] if script else [])]
     head = [
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">',
         f'<meta http-equiv="Content-Security-Policy" content="{policy(scripts)}">',
@@ -73,11 +87,11 @@ def document(
         # No icon: a browser would look for one beside the page.
         f'<title>{escape(visible(title))}</title>\n<link rel="icon" href="data:,">',
         # First of all, so that no page is shown in the other theme before.
-        f"<script>{theme.script()}</script>",
-        f"<style>{theme.style()}{style}</style>\n</head>",
+        f"<script>{of_theme}</script>",
+        f"<style>{text_of('themes.css')}{text_of('base.css')}{style}</style>\n</head>",
         f'<body class="{look}">'
         if look
-        else f'<body>\n<div class="page-theme">{theme.button()}</div>',
+        else f'<body>\n<div class="page-theme">{THEME_BUTTON}</div>',
     ]
     tail = [f"<script>{script}</script>"] if script else []
     return "\n".join([*head, visible(body), *tail, "</body>\n</html>\n"])

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.display.tone import encoded
 from pbrfit.result import metrics
 from pbrfit.result.drawing import BLACK, BLUE, GREY, ORANGE, as_png, new_figure
 from pbrfit.scene.ball import Ball
@@ -81,7 +82,7 @@ def _draw_balls(axes: Axes, labels: Sequence[str], shown: ShownBalls) -> None:
     from matplotlib.patheffects import withStroke
 
     finite = np.nan_to_num(shown.picture, posinf=0.0, neginf=0.0)
-    axes.imshow(metrics.display(finite, metrics.white_of(finite)), interpolation="nearest")
+    axes.imshow(encoded(finite / metrics.white_of(finite)), interpolation="nearest")
     for ball in shown.balls:
         place = (ball.x, ball.y)
         for color, width in ((BLACK, 3.0), (ORANGE, 1.5)):  # seen on light and on dark

@@ -15,6 +15,7 @@ from pbrfit.report.lights import LUMINANCE
 from pbrfit.report.notation import angle, percent, plain
 from pbrfit.result.drawing import new_figure
 from pbrfit.result.result import Result
+from pbrfit.scene import known_lamps
 
 Array = NDArray[np.float64]
 
@@ -26,24 +27,17 @@ BESIDE = 24
 class Seen:
     """A lamp as the middle of the surface sees it."""
 
-    direction: tuple[float, float, float]
-    """Unit vector to it."""
+    direction: Array
+    """(3,) unit vector to it."""
+    azimuth: float
+    elevation: float
+    """Degrees from the viewer towards the right, and upwards."""
     strength: float
     """Luminance of a white matt surface there that faces it, in picture units."""
-    color: tuple[float, float, float]
-    """Linear, the largest channel 1."""
+    color: Array
+    """(3,) linear, the largest channel 1."""
     distance: float | None
     """In the unit of the depth; None = far away."""
-
-    @property
-    def azimuth(self) -> float:
-        """Degrees from the viewer towards the right."""
-        return math.degrees(math.atan2(self.direction[0], self.direction[2]))
-
-    @property
-    def elevation(self) -> float:
-        """Degrees upwards."""
-        return math.degrees(math.asin(max(-1.0, min(1.0, self.direction[1]))))
 
 
 def seen(result: Result) -> list[list[Seen]]:
@@ -53,14 +47,14 @@ def seen(result: Result) -> list[list[Seen]]:
     if lamps is None:
         return found
     directions, colors = result.lamps_seen()
+    angles = known_lamps.angles(directions).tolist()
     for k, i in enumerate(lamps.pictures.tolist()):
-        x, y, z = directions[k].tolist()
-        red, green, blue = (colors[k] / (colors[k].max() or 1.0)).tolist()
         distance = None
         if lamps.near[k] and middle is not None:
             distance = float(np.linalg.norm(lamps.places[k] - middle))
-        strength = float(colors[k] @ LUMINANCE)
-        found[i].append(Seen((x, y, z), strength, (red, green, blue), distance))
+        strength, color = float(colors[k] @ LUMINANCE), colors[k] / (colors[k].max() or 1.0)
+        azimuth, elevation = angles[k]
+        found[i].append(Seen(directions[k], azimuth, elevation, strength, color, distance))
     return found
 
 

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.display.tone import encoded
 from pbrfit.model import panorama
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model, render
-from pbrfit.report import raster
 from pbrfit.report.maps import BALL_SIDE, ball_normals
 from pbrfit.result import metrics
+from pbrfit.scene.known_lamps import angles
 
 PANORAMA_HEIGHT = 96
 GAP = 8
@@ -54,7 +55,8 @@ def measure(coefficients: NDArray[np.float64]) -> Light:
     luminance = coefficients @ LUMINANCE
     main = luminance[[3, 1, 2]]  # x, y, z
     length = float(np.linalg.norm(main))
-    x, y, z = (main / length).tolist() if length > 0 else (0.0, 0.0, 1.0)
+    direction = main / length if length > 0 else np.array([0.0, 0.0, 1.0])
+    [[azimuth, elevation]] = angles(direction[None]).tolist()
     first = abs(float(luminance[0]))
     radiance = panorama.radiance(coefficients, 32) @ LUMINANCE
     weights = panorama.solid_angles(*radiance.shape)[:, None]
@@ -64,8 +66,8 @@ def measure(coefficients: NDArray[np.float64]) -> Light:
     red, green, blue = (mean / (mean.max() or 1.0)).tolist()
     return Light(
         mean=float(luminance[0]) / (2 * math.sqrt(math.pi)),
-        azimuth=math.degrees(math.atan2(x, z)),
-        elevation=math.degrees(math.asin(max(-1.0, min(1.0, y)))),
+        azimuth=azimuth,
+        elevation=elevation,
         directed=min(1.0, length / (math.sqrt(3) * first)) if first > 0 else 0.0,
         color=(red, green, blue),
         negative=negative / positive if positive > 0 else 0.0,
@@ -81,7 +83,7 @@ def balls_and_panorama(
     """
     radiance = panorama.radiance(coefficients, PANORAMA_HEIGHT)
     white = metrics.white_of(radiance)
-    shown = metrics.display(radiance, white)
+    shown = encoded(radiance / white)
     rows, columns = np.indices(radiance.shape[:2])
     hatching = np.where((rows + columns) % HATCH < 2, 0.6, 0.1)
     dark = radiance @ LUMINANCE < 0
@@ -95,7 +97,7 @@ def balls_and_panorama(
     roughness = np.where(mirror > 0, MIRROR_ROUGHNESS, 1.0)
     materials = Materials(np.ones(normals.shape), roughness, mirror)
     balls = render(materials, normals, coefficients, 0.0, model=model)
-    return metrics.display(balls, white), shown
+    return encoded(balls / white), shown
 
 
 def _ring(shown: NDArray[np.float64], light: Light) -> None:
@@ -109,12 +111,6 @@ def _ring(shown: NDArray[np.float64], light: Light) -> None:
     distance = np.hypot(rows - row, np.minimum(across, width - across))
     shown[np.abs(distance - 6) < 2] = 1.0
     shown[np.abs(distance - 6) < 0.8] = 0.0
-
-
-def pngs(coefficients: NDArray[np.float64], light: Light, model: Model) -> tuple[bytes, bytes]:
-    """Balls and panorama as PNG."""
-    balls, radiance = balls_and_panorama(coefficients, light, model)
-    return raster.picture_png(balls), raster.picture_png(radiance)
 
 
 BALLS_SIZE = (BALL_SIDE, 2 * BALL_SIDE + GAP)

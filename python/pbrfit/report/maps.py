@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from pbrfit.io.color import encode_srgb
 from pbrfit.io.resampling import reduced_size
 from pbrfit.model.materials import Materials
-from pbrfit.report import budget, figures, raster
-from pbrfit.report.budget import Fitted
+from pbrfit.report import figures, raster
 from pbrfit.report.html import paragraph
 from pbrfit.report.notation import percent, plain
 from pbrfit.result import differences
@@ -69,17 +68,12 @@ def blocks(result: Result, truth: Materials | None) -> list[Block]:
     return found
 
 
-def section(blocks: list[Block], result: Result, limit: float) -> Fitted[str]:
-    """HTML of the blocks with the largest pictures that fit into `limit` bytes."""
-
-    def make(side: int) -> str:
-        size = reduced_size(result.mask.shape, side)
-        made = "".join(_block(block, side, size) for block in blocks)
-        # The mask is a fifth column, and the other rows keep to the same columns.
-        return made if result.mask.all() else f'<div class="masked">{made}</div>'
-
-    sides = budget.sides_for(max(result.mask.shape), budget.MAP_SIDES)
-    return budget.largest_that_fits(make, len, sides, limit)
+def section(blocks: list[Block], result: Result, side: int) -> str:
+    """HTML of the blocks, with pictures of a longer side."""
+    size = reduced_size(result.mask.shape, side)
+    made = "".join(_block(block, side, size) for block in blocks)
+    # The mask is a fifth column, and the other rows keep to the same columns.
+    return made if result.mask.all() else f'<div class="masked">{made}</div>'
 
 
 def _block(block: Block, side: int, size: tuple[int, int]) -> str:

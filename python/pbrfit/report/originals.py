@@ -48,18 +48,8 @@ def find(result: Result, given: Scene | str | Path | None = None) -> Originals:
     except (InputError, OSError) as error:
         why = visible(" ".join(str(error).split()))
         log.warning("%s; the page has no pictures of the scene", why)
-        found = (
-            "has changed since, or cannot be read" if _may_be(path) else "is no longer where it was"
-        )
+        found = "is gone, has changed since, or cannot be read"
         return Originals(None, f"The scene folder {path.name} {found}. {AND_SO}")
-
-
-def _may_be(path: Path) -> bool:
-    """Whether there is a folder, as far as one may look."""
-    try:
-        return path.is_dir()
-    except OSError:  # a folder above it is closed to us
-        return True
 
 
 def _read(result: Result, path: Path) -> Scene:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
 from html import escape
-from pathlib import Path
 
+import numpy as np
+
+from pbrfit.io.json_files import as_json
 from pbrfit.io.resampling import reduced_size
 from pbrfit.model.reflection import Model
 from pbrfit.report import (
@@ -17,14 +18,23 @@ from pbrfit.report import (
     lamps,
     maps,
     normals,
-    theme,
     transport,
     verdict,
     viewer,
 )
 from pbrfit.report import lights as of_lights
 from pbrfit.report import pictures as of_pictures
-from pbrfit.report.html import Cell, Table, document, heads, number, paragraph, table
+from pbrfit.report.html import (
+    THEME_BUTTON,
+    Cell,
+    Table,
+    document,
+    heads,
+    number,
+    paragraph,
+    table,
+    text_of,
+)
 from pbrfit.report.notation import angle, percent, plain
 from pbrfit.report.originals import Originals
 from pbrfit.report.pictures import Picture
@@ -33,6 +43,7 @@ from pbrfit.result.advice import next_steps
 from pbrfit.result.drawing import draw_history
 from pbrfit.result.metrics import PROTOCOL
 from pbrfit.result.result import Result
+from pbrfit.threads import in_pieces
 
 OPEN_TABLE = 24
 """Tables with more rows are folded away."""
@@ -65,50 +76,30 @@ REFLECTION: Mapping[Model, str] = {
 """What the maps are maps of."""
 
 
-@dataclass(frozen=True)
-class _Chosen:
-    """Pictures that are shown, and at which of their sides."""
-
-    pictures: list[Picture]
-    side: int
-    size: tuple[int, int]
-
-
 def page(result: Result, originals: Originals) -> str:
     """HTML of a result, at most `budget.LIMIT` bytes."""
-    longer = max(result.mask.shape)
-    sides = budget.sides_for(longer, budget.PICTURE_SIDES)
-    scene = originals.scene
-    pictures = of_pictures.examine(result, scene, sides)
+    longer, scene = max(result.mask.shape), originals.scene
+    pictures = of_pictures.examine(result, scene, budget.SIDES[0])
     tiles = None
     if scene is not None:
         tiles = viewer.film.of_scene(
             scene, [one.white for one in pictures], budget.FILM_SHARE * budget.LIMIT
         )
-    view = budget.largest_that_fits(
-        lambda side: viewer.fragment(result, side, tiles, _head(result)),
-        lambda html: len(html.encode("utf-8", "replace")),
-        budget.sides_for(longer, budget.VIEW_SIDES),
+    view, (view_side, _) = budget.largest_that_fits(
+        lambda choice: viewer.fragment(result, choice[0], tiles, _head(result)),
+        [one for one in budget.choices(longer, budget.VIEW_SIDES) if one[1]],
         budget.VIEW_SHARE * budget.LIMIT,
     )
-    truth = scene.truth if scene is not None else None
-    known = truth is not None and "albedo_rmse" in result.metrics
-    shown_maps = maps.section(
-        [
-            *maps.blocks(result, truth.materials if truth is not None and known else None),
-            *normals.blocks(result),
-        ],
-        result,
-        budget.MAPS_SHARE * (budget.LIMIT - view.bytes),
-    )
-
+    truth = None
+    if scene is not None and scene.truth is not None and "albedo_rmse" in result.metrics:
+        truth = scene.truth.materials
+    blocks = [*maps.blocks(result, truth), *normals.blocks(result)]
     tables = "".join(table(content) for content in verdict.key_numbers(result, pictures))
     fixed = {
-        "relight": view.made,
+        "relight": view,
         "summary": "".join(paragraph(text) for text in verdict.sentences(result, pictures))
         + f'<div class="numbers">{tables}</div>'
-        + _size_remark("Maps of the view above", view.side, result),
-        "maps": _size_remark("Maps", shown_maps.side, result) + shown_maps.made,
+        + _size_remark("Maps of the view above", view_side, result),
         "lamps": lamps.section(result),
         "surroundings": transport.section(result),
         "history": _history(result),
@@ -116,29 +107,18 @@ def page(result: Result, originals: Originals) -> str:
         "origin": _origin(result),
     }
 
-    def whole(chosen: _Chosen) -> str:
-        of_chosen = {
-            "pictures": _pictures(originals, pictures, chosen),
+    def whole(choice: budget.Choice) -> str:
+        side, count = choice
+        chosen = [pictures[i] for i in np.linspace(0, len(pictures) - 1, count).round().astype(int)]
+        of_choice = {
+            "maps": _size_remark("Maps", side, result) + maps.section(blocks, result, side),
+            "pictures": _pictures(originals, pictures, chosen, side),
             "lights": _lights(pictures, chosen) if result.lamps is None else "",
         }
-        return _document(result, fixed | of_chosen)
+        return _document(result, fixed | of_choice)
 
-    # What is left of the limit, once all else is known to the letter, is for the pictures; markup
-    # around them is only known with them.
-    limit = float(budget.LIMIT)
-    made = whole(_Chosen([], 0, reduced_size(result.mask.shape, sides[0])))
-    limit -= len(made.encode())
-    while limit > 0:
-        side, indices = budget.choose(
-            len(sides), len(pictures), lambda side, i: pictures[i].size(side), limit
-        )
-        size = reduced_size(result.mask.shape, sides[side])
-        made = whole(_Chosen([pictures[i] for i in indices], side, size))
-        excess = len(made.encode()) - budget.LIMIT
-        if excess <= 0:
-            break
-        limit -= excess
-    return made
+    every = budget.choices(longer, budget.SIDES, len(pictures))
+    return budget.largest_that_fits(whole, every, budget.LIMIT)[0]
 
 
 def _document(result: Result, sections: Mapping[str, str]) -> str:
@@ -153,14 +133,11 @@ def _document(result: Result, sections: Mapping[str, str]) -> str:
         ),
         "</main>",
     ]
-    here = Path(__file__).parent
-    style = (here / "style.css").read_text(encoding="utf-8")
-    script = (here / "enlarge.js").read_text(encoding="utf-8")
     return document(
         _title(result),
         "\n".join(body),
-        style=style,
-        script=script,
+        style=text_of("style.css"),
+        script=text_of("enlarge.js"),
         within=[viewer.script(result.model)],
         look="report",
     )
@@ -174,7 +151,7 @@ def _head(result: Result) -> str:
     if reduced := result.assumed.get("size"):
         notes.append(f"{max(result.mask.shape)} px fit: {escape(reduced)}.")
     told = f'<p class="told">{" ".join(filter(None, notes))}</p>'
-    return f"<header><h1>{escape(_title(result))}</h1>{verdicts}{theme.button()}{told}</header>"
+    return f"<header><h1>{escape(_title(result))}</h1>{verdicts}{THEME_BUTTON}{told}</header>"
 
 
 def _title(result: Result) -> str:
@@ -194,16 +171,18 @@ def _size_remark(what: str, side: int, result: Result) -> str:
     return paragraph(f"{what} {said} pixels.", "note")
 
 
-def _pictures(originals: Originals, pictures: Sequence[Picture], chosen: _Chosen) -> str:
-    height, width = chosen.size
-    shown, count = len(chosen.pictures), len(pictures)
+def _pictures(
+    originals: Originals, pictures: Sequence[Picture], chosen: Sequence[Picture], side: int
+) -> str:
+    scene, shown, count = originals.scene, len(chosen), len(pictures)
+    size = height, width = reduced_size(pictures[0].radiance[0].shape, side)
     text = f"{width} × {height} pixels each."
     if shown < count:
         text = (
             f"{shown} of {count} pictures are shown, evenly spread, and {count - shown} left out, "
             f"to keep the page small. {text}"
         )
-    parts, scene = [paragraph(text, "note")], originals.scene
+    parts = [paragraph(text, "note")]
     if scene is None:
         parts.append(paragraph(originals.remark))
         parts.append(paragraph("White is the 98th percentile of each reconstruction.", "note"))
@@ -215,7 +194,7 @@ def _pictures(originals: Originals, pictures: Sequence[Picture], chosen: _Chosen
             else {"left out: clipped, dark or of weight 0": differences.WHITE}
         )
         parts.append(figures.difference_key("residual, relative to the picture's RMS", marks))
-    cards = (_card(one, chosen) for one in chosen.pictures)
+    cards = in_pieces(0, lambda one: _card(one, side, size), chosen)
     parts.append(figures.grid(cards, "pictures" if scene is not None else "maps"))
     if scene is not None:
         title = f"Residuals of all {len(pictures)} pictures"
@@ -237,15 +216,15 @@ def _how_to_read(pictures: Sequence[Picture]) -> str:
     return text
 
 
-def _card(one: Picture, chosen: _Chosen) -> str:
-    files = one.files(chosen.side)
+def _card(one: Picture, side: int, size: tuple[int, int]) -> str:
+    files = one.files(side)
     if one.fit is None:
         [file] = files
-        content = figures.picture(file, chosen.size, f"Reconstruction of {one.name}")
+        content = figures.picture(file, size, f"Reconstruction of {one.name}")
         return figures.figure(content, one.name, "reconstruction")
     alts = (f"Picture {one.name}", f"Reconstruction of {one.name}", f"Residual of {one.name}")
     content = "".join(
-        figures.picture(file, chosen.size, alt) for file, alt in zip(files, alts, strict=True)
+        figures.picture(file, size, alt) for file, alt in zip(files, alts, strict=True)
     )
     remark = f"RMSE {plain(one.fit.rmse)}, {percent(one.fit.share)} relative to the picture's RMS"
     if one.fit.left_out > 0:
@@ -253,7 +232,7 @@ def _card(one: Picture, chosen: _Chosen) -> str:
     return figures.figure(f'<div class="three">{content}</div>', one.name, remark)
 
 
-def _lights(pictures: Sequence[Picture], chosen: _Chosen) -> str:
+def _lights(pictures: Sequence[Picture], chosen: Sequence[Picture]) -> str:
     text = (
         "Each light on a matt white ball, on a mirror, and as a panorama of all directions: the "
         "centre is into the picture, away from the viewer, right is right, up is up; light that "
@@ -263,9 +242,9 @@ def _lights(pictures: Sequence[Picture], chosen: _Chosen) -> str:
         "percentile of its panorama."
     )
     parts = [paragraph(text)]
-    if len(chosen.pictures) < len(pictures):
+    if len(chosen) < len(pictures):
         parts.append(paragraph("Lights of the pictures that are shown above.", "note"))
-    parts.append(figures.grid(map(_light, chosen.pictures), "lights"))
+    parts.append(figures.grid(map(_light, chosen), "lights"))
     parts.append(_numbers(f"All {len(pictures)} lights in numbers", _light_table(pictures)))
     return "".join(parts)
 
@@ -343,7 +322,7 @@ def _origin(result: Result) -> str:
     if result.left_out:
         items = "".join(f"<li>{escape(line)}</li>" for line in result.left_out)
         parts.append(f"<h3>Left out</h3><ul>{items}</ul>")
-    options = {name: json.dumps(value) for name, value in asdict(result.options).items()}
+    options = {name: json.dumps(value) for name, value in as_json(result.options).items()}
     parts.append(_folded("Options", _list(options)))
     if result.inputs:
         rows = [(Cell(name), Cell(digest, "hash")) for name, digest in result.inputs.items()]

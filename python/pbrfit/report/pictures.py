@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.display.tone import encoded
 from pbrfit.report import lights, raster
 from pbrfit.report.html import Cell, Table, heads, number
 from pbrfit.report.lights import Light
@@ -43,7 +44,7 @@ class Fit:
         return self.rmse / self.rms if self.rms > 0 else 0.0
 
 
-@dataclass
+@dataclass(frozen=True)
 class Picture:
     """A picture as the page shows it."""
 
@@ -51,47 +52,37 @@ class Picture:
     light: Light
     light_pngs: tuple[bytes, bytes] | None
     """Its light, without lamps: in numbers; on balls, as a panorama, None where there are lamps."""
-    sides: Sequence[int]
-    """That it may have; what follows has the first, from which the others are made when wanted."""
     white: float
     """What is shown as white."""
     radiance: tuple[NDArray[np.float64], ...]
-    """The picture, unless it is not there, and its reconstruction."""
+    """The picture, unless it is not there, and its reconstruction; of the largest side shown."""
     fit: Fit | None = None
     residual: Difference | None = None
     """None without the scene."""
-    made: dict[int, tuple[bytes, ...]] = field(default_factory=dict)
 
-    def size(self, side: int) -> int:
-        """Bytes in the page at one of the sides, the largest first."""
-        files = (*(self.light_pngs or ()), *self.files(side))
-        return sum(-(-len(one) // 3) * 4 for one in files)  # in base64
-
-    def files(self, side: int) -> tuple[bytes, ...]:
-        """At one of the sides: picture, reconstruction and residual, or only the second."""
-        if side not in self.made:
-            at = self.sides[side]
-            found = [
-                raster.photograph(metrics.display(raster.reduced(one, at), self.white))
-                for one in self.radiance
-            ]
-            if self.residual is not None:
-                smaller = raster.reduced_difference(self.residual, at)
-                found.append(raster.difference_png(smaller))
-            self.made[side] = tuple(found)
-        return self.made[side]
+    def files(self, side: int) -> list[bytes]:
+        """Files at a longer side: picture, reconstruction and residual, or only the second."""
+        found = [
+            raster.photograph(encoded(raster.reduced(one, side) / self.white))
+            for one in self.radiance
+        ]
+        if self.residual is not None:
+            smaller = raster.reduced_difference(self.residual, side)
+            found.append(raster.difference_png(smaller))
+        return found
 
 
-def examine(result: Result, scene: Scene | None, sides: Sequence[int]) -> list[Picture]:
-    """Render and measure all pictures."""
+def examine(result: Result, scene: Scene | None, side: int) -> list[Picture]:
+    """Render and measure all pictures; what is shown has a longer side of `side` at most."""
 
     def one(i: int) -> Picture:
         coefficients = result.lighting[i]
         light, balls = lights.measure(coefficients), None
         if result.lamps is None:
-            balls = lights.pngs(coefficients, light, result.model)
+            drawn = lights.balls_and_panorama(coefficients, light, result.model)
+            balls = raster.picture_png(drawn[0]), raster.picture_png(drawn[1])
         rendered = relight(result, picture=i)
-        small, about = raster.reduced(rendered, sides[0]), (result.pictures[i], light, balls, sides)
+        small, about = raster.reduced(rendered, side), (result.pictures[i], light, balls)
         if scene is None:
             return Picture(*about, metrics.white_of(rendered), (small,))
         image, weights = scene.images[i], scene.channel_weights(i)
@@ -103,8 +94,8 @@ def examine(result: Result, scene: Scene | None, sides: Sequence[int]) -> list[P
             left_out=1 - np.count_nonzero(counted) / np.count_nonzero(result.mask),
         )
         image, white = metrics.showable(image, result.mask, weights)
-        shown = raster.reduced(image, sides[0]), small
-        residual = raster.reduced_difference(residual, sides[0])
+        shown = raster.reduced(image, side), small
+        residual = raster.reduced_difference(residual, side)
         return Picture(*about, white, shown, fit, residual)
 
     return in_pieces(0, one, range(len(result.pictures)))

@@ -2,29 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.display.tone import encoded
 from pbrfit.io.resampling import reduced_size
 from pbrfit.report import figures, raster
-from pbrfit.report.html import Cell, Table, number, paragraph, table
-from pbrfit.report.notation import plain
+from pbrfit.report.html import paragraph
 from pbrfit.report.surroundings import plan_view
 from pbrfit.result import metrics
 from pbrfit.result.relighting import DirectionalLight, LampLight, relight
 from pbrfit.result.result import Result
-from pbrfit.transport.decision import Kind
-from pbrfit.transport.room import counted, name_of
 from pbrfit.transport.scenery import Scenery
-
-WORDS: Mapping[Kind, str] = {
-    "none": "do nothing: all light reaches every surface",
-    "occlusion": "block light",
-    "bounce": "block light, and reflect it to each other",
-}
-"""What surroundings do, by the kinds of `Transport`."""
 
 SIDE = 384
 """Longer side of the relit pictures."""
@@ -41,13 +30,14 @@ NO_LIGHT = 0.02
 
 def section(result: Result) -> str:
     """HTML about surroundings; nothing where the fit knew none."""
-    transport = result.transport
-    if not transport.blocks:
+    transport, scenery = result.transport, result.scenery
+    if scenery is None:
         if not transport.figures:
             return ""
-        return paragraph(f"Surroundings {WORDS['none']}. The fit left them out: {transport.why}.")
+        nothing = "Surroundings do nothing: all light reaches every surface."
+        return paragraph(f"{nothing} The fit left them out: {transport.why}.")
     text = paragraph(
-        f"Things, walls and floor that the depth shows {WORDS[transport.kind]} ({transport.why}). "
+        f"Things, walls and floor that the depth shows {scenery.in_words(transport)}. "
         "What no picture shows is supposed: how deep things are, how high walls, where the room "
         "ends behind the camera."
     )
@@ -56,42 +46,8 @@ def section(result: Result) -> str:
             "The fit took what surfaces reflect from the pictures themselves; reconstructions and "
             "relit pictures compute it from the maps."
         )
-    scenery = result.scenery
-    if scenery is None:
-        return text
     plans = figures.plot(plan_view(scenery), "Surroundings from above and from the side")
-    tables = f'<div class="numbers">{_supposed(scenery)}</div>'
-    return text + plans + tables + _relit(result, scenery)
-
-
-def _supposed(scenery: Scenery) -> str:
-    """The extents, in median depths."""
-    extents = scenery.extents
-    facts: list[tuple[str, str, float | None]] = [
-        ("things are deep, at most", plain(extents.thickness), extents.thickness)
-    ]
-    if extents.height is not None:
-        facts += [
-            ("walls are high, at least", plain(extents.height), extents.height),
-            ("ceiling", "supposed" if extents.ceiling else "as far as one is seen", None),
-        ]
-    if extents.behind is not None:
-        facts.append(("wall behind the camera, at", plain(extents.behind), extents.behind))
-    elif extents.blocks:
-        facts += [
-            ("behind the camera", "open", None),
-            ("walls go on beyond what is seen", plain(extents.reach), extents.reach),
-        ]
-    rows = [(Cell(label), number(text, value)) for label, text, value in facts]
-    for label, which in (("light is blocked by", True), ("light goes through", False)):
-        names = [
-            name_of(wall, scenery.walls)
-            for wall, blocks in zip(scenery.walls, extents.blocks, strict=True)
-            if blocks == which
-        ]
-        if names:
-            rows.append((Cell(label), number(counted(names))))
-    return f"<div>{table(Table((), rows, 'Supposed, in median depths:'))}</div>"
+    return text + plans + _relit(result, scenery)
 
 
 def _relit(result: Result, scenery: Scenery) -> str:
@@ -119,7 +75,7 @@ def _pair(
     size = reduced_size(result.mask.shape, SIDE)
     found = []
     for picture, how in ((among, "with surroundings"), (without, "without")):
-        png = raster.picture_png(metrics.display(raster.reduced(picture, SIDE), white))
+        png = raster.picture_png(encoded(raster.reduced(picture, SIDE) / white))
         shown = figures.picture(png, size, f"Relit by {name}, {how}")
         found.append(figures.figure(shown, how, name))
     return found

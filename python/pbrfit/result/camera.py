@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from typing import Literal
 
+from pbrfit._core import InputError
 from pbrfit.io.color import Curve
-from pbrfit.io.json_files import figures, flag, number, positive
-from pbrfit.io.quoting import quoted
 from pbrfit.model.geometry import check_fov
 from pbrfit.scene.correction import Correction
 
@@ -38,6 +37,11 @@ class Camera:
     """Where the given field of view is contradicted, `other_fov_degrees` and `other_fov_sigma`.
     Infinite and NaN ones are null in a file."""
 
+    def __post_init__(self) -> None:
+        check_fov(self.fov_degrees)
+        if self.contradicted and not {"other_fov_degrees", "other_fov_sigma"} <= set(self.figures):
+            raise InputError("camera: expected what contradicts its field of view, found nothing")
+
     def in_words(self) -> str:
         """The field of view, and how it was found."""
         if self.fov_sigma is None:
@@ -58,30 +62,6 @@ class Camera:
         if self.fov_sigma is not None and self.fov_sigma > FOV_DOUBTED:
             return f"the field of view is hardly known, {self.in_words()}"
         return ""
-
-    @classmethod
-    def from_json(cls, content: Mapping[str, Any]) -> Camera:
-        """From its fields in `result.json`; ValueError, KeyError or TypeError if unfit."""
-        how, sigma = content["how"], content["fov_sigma"]
-        if how not in get_args(How):
-            raise ValueError(f"camera {quoted(how)}")
-        of_fit = figures(content["figures"])
-        sigma = None if sigma is None else positive(sigma)
-        contradicted = flag(content["contradicted"])
-        if contradicted and not {"other_fov_degrees", "other_fov_sigma"} <= set(of_fit):
-            raise ValueError("camera contradicted by nothing")
-        correction = content["correction"]
-        if correction is not None:
-            numbers = tuple(map(number, correction["numbers"]))
-            if len(numbers) != len(Correction.numbers):
-                raise ValueError(f"camera corrected by {len(numbers)} numbers")
-            correction = Correction(number(correction["reference"]), numbers)
-        fov = number(content["fov_degrees"])
-        check_fov(fov)
-        response = content.get("response")
-        if response not in (None, *get_args(Curve)):
-            raise ValueError(f"camera response {quoted(response)}")
-        return cls(fov, how, sigma, contradicted, correction, response, of_fit)
 
 
 def _with_sigma(degrees: float, sigma: float) -> str:

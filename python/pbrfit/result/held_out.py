@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
-
-from pbrfit.io.json_files import number, positive, table, text, whole
 
 LEAST = 1e-5
 """Relative error below which digits mean nothing."""
@@ -63,22 +59,6 @@ class HeldOut:
             return f"chosen: {self.chosen}"
         second = others[0]
         return f"chosen: {self.chosen}; second: {second.what}, {_percent(second.error)}"
-
-    @classmethod
-    def from_json(cls, content: Mapping[str, Any] | None) -> HeldOut | None:
-        """From its fields in `result.json`; ValueError, KeyError or TypeError if unfit."""
-        if content is None:
-            return None
-        return cls(
-            positive(content["error"]),
-            positive(content["nearest_picture"]),
-            whole(content["pictures"], least=1),
-            text(content["chosen"]),
-            tuple(
-                Candidate(text(one["what"]), number(one["score"]), positive(one["error"]))
-                for one in map(table, content["candidates"])
-            ),
-        )
 
 
 def _percent(share: float) -> str:

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.io.checks import real_array, real_number, reals
-from pbrfit.io.color import encode_srgb, over_channels
+from pbrfit.io.checks import reals
+from pbrfit.io.color import over_channels
 
 PROTOCOL = (
     "pbrfit-1: RMSE over valid pixels and channels, linear values; "
@@ -91,16 +91,6 @@ def scaled_per_channel(
         sound = (square > 0) & np.isfinite(square) & np.isfinite(mixed)
         factor = np.divide(mixed, square, out=np.ones_like(square), where=sound)
         return np.asarray(found * factor)
-
-
-def display(radiance: NDArray[np.floating[Any]], white: float) -> NDArray[np.float64]:
-    """Linear radiance as people see it: divided by `white`, clipped to [0, 1], sRGB-encoded."""
-    unit = real_number("white", white, "a number above 0")
-    if not unit > 0:
-        raise InputError(f"white: expected a number above 0, found {white}")
-    with np.errstate(over="ignore", invalid="ignore"):
-        shown = np.clip(real_array("radiance", radiance) / unit, 0.0, 1.0)
-    return np.asarray(encode_srgb(shown))
 
 
 def white_of(radiance: NDArray[np.floating[Any]]) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from html import escape
 
 from pbrfit.display.notebook import figure, page
-from pbrfit.result import metrics
+from pbrfit.display.tone import encoded
 from pbrfit.result.advice import next_steps
 from pbrfit.result.data import ResultData
 from pbrfit.result.verdict import MARKS, in_short
@@ -25,20 +25,17 @@ def html(result: ResultData) -> str:
     if "recon_rmse" in result.metrics:
         facts.append(f"residual {result.metrics['recon_rmse']:.2g}")
     maps = {
-        "albedo": metrics.display(result.albedo, 1.0),
+        "albedo": encoded(result.albedo),
         "roughness": result.roughness,
         "metallic": result.metallic,
         "normals": 0.5 + 0.5 * result.normals,
     }
     figures = []
     for name, values in maps.items():
-        mark, caption = "", name
-        if name in result.verdicts:
-            found = MARKS[result.verdicts[name].level]
-            color = f"rgb({','.join(map(str, found.ink))})"
-            mark = f'<span style="color:{color}">{found.sign}</span> '
-            caption = in_short(name, result.verdicts[name])
-        figures.append(figure(name, values.reshape(height, width, -1), SIDE, caption, mark))
+        caption = name
+        if (verdict := result.verdicts.get(name)) is not None:
+            caption = f"{MARKS[verdict.level].sign} {in_short(name, verdict)}"
+        figures.append(figure(name, values.reshape(height, width, -1), SIDE, caption))
     lines = ["; ".join(facts)]
     if result.held_out is not None:
         lines.append(result.held_out.in_words())

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import inspect
-import json
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
-from typing import Any, Literal, get_args
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from pbrfit._core import InputError
-from pbrfit.io.checks import of_what, real_number
-from pbrfit.io.json_files import table
-from pbrfit.io.quoting import listed
+from pbrfit.io.checks import finite, of_what, one_of
 from pbrfit.model.reflection import MODELS, Model, checked_model, whole_number
-from pbrfit.result.refinement import CHOICES, RefineNormals
+from pbrfit.result.refinement import RefineNormals
 
 Solver = Literal["gauss-newton", "lbfgsb"]
 SOLVERS: tuple[Solver, ...] = get_args(Solver)
@@ -72,10 +69,7 @@ class Priors:
             value = getattr(self, name)
             if name in ("material", "monochrome") and value is None:
                 continue
-            weight = real_number(f"prior {name}", value, expected)
-            if not 0 <= weight < math.inf:
-                raise InputError(f"prior {name}: expected {expected}, found {value!r}")
-            object.__setattr__(self, name, weight)
+            object.__setattr__(self, name, finite(f"prior {name}", value, expected, 0.0))
 
     @property
     def material_strength(self) -> float:
@@ -197,31 +191,20 @@ class FitOptions:
     uncertainty: bool = True
 
     def __post_init__(self) -> None:
-        for name in (
-            "solver",
-            "robust",
-            "response",
-            "refine_normals",
-            "align",
-            "transport",
-            "light",
-        ):
-            _check_choice(name, getattr(self, name))
+        for name, kind in KINDS.items():
+            if get_origin(kind) is Literal:
+                one_of(name, getattr(self, name), kind)
+            elif kind is bool:
+                self._keep(**{name: _flag(name, getattr(self, name))})
         self._keep(
-            same_lamp=_flag("same_lamp", self.same_lamp),
             iterations=whole_number("iterations", self.iterations),
             sh_order=whole_number("sh_order", self.sh_order),
             priors=Priors.none() if self.priors is None else self.priors,
-            mono_light=_flag("mono_light", self.mono_light),
-            uncertainty=_flag("uncertainty", self.uncertainty),
         )
         if self.sh_order not in (2, 3):
             raise InputError(f"sh_order: expected 2 or 3, found {self.sh_order}")
         if self.time_limit is not None:
-            seconds = real_number("time_limit", self.time_limit, "seconds, 0 or more")
-            if not 0 <= seconds < math.inf:
-                raise InputError(f"time_limit: expected seconds, 0 or more, found {seconds}")
-            self._keep(time_limit=seconds)
+            self._keep(time_limit=finite("time_limit", self.time_limit, "seconds, 0 or more", 0.0))
         if self.metallic is not None:
             self._keep(metallic=unit_interval("metallic", self.metallic))
         if self.equal_exposures is not None:
@@ -244,22 +227,9 @@ class FitOptions:
                     f"{self.solver}"
                 )
 
-    def to_json(self) -> dict[str, Any]:
-        """What `result.json` holds under `options`."""
-        values: dict[str, Any] = json.loads(json.dumps(asdict(self)))
-        return values
 
-    @classmethod
-    def from_json(cls, content: Mapping[str, Any]) -> FitOptions:
-        """Undo `to_json`; ValueError, KeyError or TypeError if it is something else."""
-        values = table(content)
-        if values.get("white") is not None:
-            values["white"] = tuple(values["white"])
-        others = sorted(set(values) ^ {one.name for one in fields(cls)})
-        if others:
-            raise ValueError(f"options {listed(others)}")
-        values["priors"] = Priors(**table(values["priors"]))
-        return cls(**values)
+KINDS = get_type_hints(FitOptions)
+"""Types of the options by name."""
 
 
 def attributes_of(options: type) -> str:
@@ -274,38 +244,31 @@ def described(options: type) -> dict[str, str]:
     return {name: " ".join(re.sub(r'`"?|"?`', "", text).split()) for name, text in parts}
 
 
-FLAGS: dict[str, Flag] = {
-    "solver": Flag(values=SOLVERS),
+_OWN_WAYS = {
     "iterations": Flag(metavar="K"),
     "time_limit": Flag(kind=float, metavar="S"),
     "sh_order": Flag(values=(2, 3)),
     "metallic": Flag("0: metallic is 0 and not fitted", values={"free": None, "0": 0.0}),
-    "robust": Flag(values=get_args(Loss)),
-    "response": Flag(values=get_args(Response)),
     "equal_exposures": Flag(
         "equal: pictures are divided by their mean radiance, so that bright ones do not outweigh "
         "dark ones; as-is: they are not; auto: where one has more than 4 times the mean of another",
         name="exposures",
         values={"auto": None, "as-is": False, "equal": True},
     ),
-    "mono_light": Flag(kind=bool),
-    "refine_normals": Flag(values=CHOICES),
-    "align": Flag(values=get_args(Align)),
-    "transport": Flag(values=get_args(TransportChoice)),
-    "light": Flag(values=get_args(LightChoice)),
-    "same_lamp": Flag(kind=bool),
     "white": Flag(kind=lambda text: text.split(","), metavar="X,Y[,ALBEDO]"),
     "model": Flag(values=MODELS),
+}
+FLAGS = {
+    name: _OWN_WAYS.get(name) or Flag(values=get_args(kind) or None, kind=kind)
+    for name, kind in KINDS.items()
+    if name not in ("priors", "uncertainty")
 }
 """Options that have a flag, by the names of the fields; priors have flags of their own."""
 
 
 def unit_interval(name: str, value: Any) -> float:
     """Check a number in [0, 1]."""
-    number = real_number(name, value, "None or a number in [0, 1]")
-    if not 0 <= number <= 1:
-        raise InputError(f"{name}: expected None or a number in [0, 1], found {value!r}")
-    return number
+    return finite(name, value, "None or a number in [0, 1]", 0.0, 1.0)
 
 
 def _reference(white: Any) -> tuple[float, float, float]:
@@ -317,13 +280,6 @@ def _reference(white: Any) -> tuple[float, float, float]:
     if not (0 <= x < math.inf and 0 <= y < math.inf and 0 < value <= 1):
         raise InputError(f"white: expected {expected}, found {x:g},{y:g},{value:g}")
     return x, y, value
-
-
-def _check_choice(name: str, value: Any) -> None:
-    """Raise InputError unless the value of an option is one that its flag takes."""
-    values = tuple(FLAGS[name].values or ())
-    if not isinstance(value, str) or value not in values:
-        raise InputError(f"{name}: expected one of {', '.join(values)}, found {of_what(value)}")
 
 
 def _flag(name: str, value: Any) -> bool:

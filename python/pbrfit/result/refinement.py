@@ -10,9 +10,6 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.json_files import figures, flag, text
-from pbrfit.io.quoting import quoted
-
 if TYPE_CHECKING:
     from pbrfit.scene.scene import Scene
 
@@ -34,8 +31,8 @@ CHANGE_DEGREES_MIN = 1e-4
 class Refinement:
     """What was decided about the normals of a fit."""
 
-    asked: str
-    """As it was asked for: "off", "auto" or "on"."""
+    asked: RefineNormals
+    """As it was asked for."""
     refined: bool
     """Whether the normals of the result are other ones than those that were given; where none were,
     than those that pictures told before materials were fitted."""
@@ -75,14 +72,6 @@ class Refinement:
         )
         how_far = f" by {mean:.1f} degrees in the mean, {largest:.1f} at most"
         return f"refined{how_far if math.isfinite(mean) else ''}: {self.why}"
-
-    @classmethod
-    def from_json(cls, content: Mapping[str, Any]) -> Refinement:
-        """From its fields in `result.json`; ValueError, KeyError or TypeError if unfit."""
-        asked, refined, why = content["asked"], content["refined"], content["why"]
-        if asked not in CHOICES:
-            raise ValueError(f"normals {quoted(asked)}")
-        return cls(asked, flag(refined), text(why), figures(content["figures"]))
 
 
 NOT_ASKED = Refinement("off", False, "not asked for")

@@ -77,15 +77,10 @@ class Screen:
 
     def shown(self, radiance: Radiance) -> NDArray[np.uint8]:
         """(H, W, 3) sRGB codes; (H, W, 4) where there is a mask, 0 outside it."""
-        inside = np.asarray(np.isfinite(radiance).all(axis=-1))
-        shown = np.where(inside[..., None], radiance, 0.0)
-        values = tone.encoded(shown, self.exposure, self.tone_map)
-        codes = np.rint(255 * values).astype(np.uint8)
-        largest = codes.max(axis=-1)[inside]
+        inside = np.isfinite(radiance).all(axis=-1)
+        codes = tone.codes(tone.encoded(radiance, self.exposure, self.tone_map))
+        largest = codes[..., :3].max(axis=-1)[inside]
         self.pixels += largest.size
         self.clipped += int(np.sum(largest == 255))
         self.black += int(np.sum(largest <= NEARLY_BLACK))
-        if inside.all():
-            return codes
-        codes[~inside] = 0
-        return np.dstack([codes, 255 * inside.astype(np.uint8)])
+        return codes

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,14 +15,12 @@ from pbrfit.io import images
 from pbrfit.io.input_files import digest
 from pbrfit.io.json_files import (
     UNFIT,
-    finite_or_null,
+    as_json,
     number,
     path_text,
-    positive,
+    read_as,
     read_json,
     table,
-    text,
-    texts,
     unfit,
     whole,
     write_json,
@@ -35,12 +32,9 @@ from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import of_channels, write_materials
 from pbrfit.model.reflection import MODELS, Model
 from pbrfit.registration.placement import IN_LINE, NOT_CHECKED, aligned
-from pbrfit.result.camera import Camera
-from pbrfit.result.data import DEPTH, GIVEN_NORMALS, SEGMENT, ResultData, Stage, Status
-from pbrfit.result.held_out import HeldOut
+from pbrfit.result.data import DEPTH, GIVEN_NORMALS, SEGMENT, ResultData
 from pbrfit.result.history import History
 from pbrfit.result.metrics import PROTOCOL
-from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import Refinement
 from pbrfit.result.relighting import Light, relight
 from pbrfit.result.uncertainty import Uncertainty, layer_names
@@ -48,13 +42,18 @@ from pbrfit.scene.folder import HEIGHT_FILE, is_scene
 from pbrfit.scene.options import ReadOptions, Source
 from pbrfit.scene.scene import Scene
 from pbrfit.scene.writing import write_height
-from pbrfit.transport.decision import Transport
 
 if TYPE_CHECKING:
     from pbrfit import Exported
 
 FILES = ("materials.exr", "lighting.json", "history.csv", "preview.png")
 """Files of a result folder whose sha256 is in `result.json`."""
+
+DETAILS = (
+    *("fov", "status", "stop_reason", "evaluations", "seconds", "metrics", "options", "assumed"),
+    *("left_out", "inputs", "stages", "camera", "transport", "held_out"),
+)
+"""Fields of `ResultData` that `result.json` has under their names."""
 
 REPORT_FILE = "report.html"
 
@@ -122,26 +121,13 @@ class Result(ResultData):
         images.write_png(folder / "preview.png", preview(self, scene), tag="srgb")
         content = {
             "version": version("pbrfit"),
-            "status": str(self.status),
-            "stop_reason": self.stop_reason,
-            "fov": self.fov,
             "model": self.model,
             "iterations": self.history.iterations,
-            "evaluations": self.evaluations,
-            "seconds": self.seconds,
             "protocol": PROTOCOL,
-            "metrics": dict(self.metrics),
+            **{name: as_json(getattr(self, name)) for name in DETAILS},
             "uncertainty": None if uncertainty is None else uncertainty.summary(),
-            "normals": _as_json(self.refinement),
-            "camera": _as_json(self.camera),
-            "transport": _as_json(self.transport),
-            "held_out": _as_json(self.held_out),
+            "normals": as_json(self.refinement),
             "verdicts": {name: one.level for name, one in self.verdicts.items()},
-            "options": self.options.to_json(),
-            "assumed": dict(self.assumed),
-            "left_out": list(self.left_out),
-            "stages": [asdict(stage) for stage in self.stages],
-            "inputs": dict(self.inputs),
             "scene": None if self.source is None else _source_as_json(self.source, place or folder),
             "files": {name: digest(folder / name) for name in files_of(folder)},
         }
@@ -254,32 +240,15 @@ def details_of(content: Any, folder: Path) -> dict[str, Any]:
     Raises one of `json_files.UNFIT` for what pbrfit does not write.
     """
     content = table(content)
-    fov = number(content["fov"])
-    check_fov(fov)
+    check_fov(number(content["fov"]))
     table(content["files"])
     whole(content["iterations"])
-    source, camera = content["scene"], content["camera"]
+    kinds, source = get_type_hints(ResultData), content["scene"]
     return {
-        "fov": fov,
+        **{name: read_as(kinds[name], content[name]) for name in DETAILS},
         "model": model_of(content, folder / "result.json"),
-        "status": Status(text(content["status"])),
-        "stop_reason": text(content["stop_reason"]),
-        "evaluations": whole(content["evaluations"]),
-        "seconds": positive(content["seconds"]),
-        "metrics": {k: positive(v) for k, v in table(content["metrics"]).items()},
-        "options": FitOptions.from_json(table(content["options"])),
-        "assumed": {k: text(v) for k, v in table(content["assumed"]).items()},
-        "left_out": texts(content["left_out"]),
-        "inputs": {k: text(v) for k, v in table(content["inputs"]).items()},
-        "stages": tuple(
-            Stage(text(one["name"]), positive(one["seconds"]), text(one["note"]))
-            for one in content["stages"]
-        ),
+        "refinement": read_as(Refinement, content["normals"]),
         "source": None if source is None else _source(source, folder),
-        "refinement": Refinement.from_json(content["normals"]),
-        "camera": None if camera is None else Camera.from_json(table(camera)),
-        "transport": Transport.from_json(content["transport"]),
-        "held_out": HeldOut.from_json(content["held_out"]),
     }
 
 
@@ -323,14 +292,6 @@ def model_of(content: Mapping[str, Any], file: Path) -> Model:
     raise InputError(f"{file}: model: expected {' or '.join(MODELS)}, found {quoted(name)}")
 
 
-def _as_json(told: Any) -> dict[str, Any] | None:
-    """A dataclass as an object; infinite numbers and NaN among its `figures` are null."""
-    found = None if told is None else asdict(told)
-    if found is not None and "figures" in found:
-        found["figures"] = finite_or_null(found["figures"])
-    return found
-
-
 def _source_as_json(source: Source, folder: Path) -> dict[str, Any] | None:
     """How a scene was read; its place as seen from the result folder, so that both can move."""
     try:
@@ -344,7 +305,7 @@ def _source(content: Mapping[str, Any], folder: Path) -> Source:
     return Source(
         path=(folder / path_text(content["path"])).resolve(),
         options=ReadOptions.from_json(content),
-        files=texts(content["files"]),
+        files=read_as(tuple[str, ...], content["files"]),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -10,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from pbrfit.io.images import encode_png
-from pbrfit.result import metrics
+from pbrfit.display.tone import encoded
 from pbrfit.result.verdict import Mark
 
 PANEL_SIDE = (192, 384)
@@ -20,7 +20,6 @@ PANEL_SIDE = (192, 384)
 MARGIN = 12
 PAPER = (255, 255, 255)
 INK = (30, 30, 30)
-REFUSED = (196, 30, 36)
 OUTSIDE = 0.85
 """Grey of pixels outside the mask."""
 
@@ -42,8 +41,6 @@ class Panel:
     pixels: NDArray[np.floating[Any]]
     note: str = ""
     """Below it, in as many lines as it needs."""
-    crossed: bool = False
-    """Whether it is marked as refused: framed in red, with a cross in a corner."""
     mark: Mark | None = None
     """Before the note."""
 
@@ -64,11 +61,6 @@ class Key:
 
 Row = list[Panel | None]
 """Side by side; None leaves a gap."""
-
-
-def caption_height(width: int) -> int:
-    """Height of the line above panels of this width."""
-    return round(1.6 * _letters(width))
 
 
 def sheet(
@@ -94,7 +86,7 @@ def sheet(
     letters = _letters(column)
     font = _font(captions, column, letters)
     label_font = ImageFont.load_default(letters)
-    line = caption_height(column)
+    line = round(1.6 * letters)
     gutter = max((round(label_font.getlength(label)) + MARGIN for label in labels), default=0)
     note_font = ImageFont.load_default(round(0.8 * letters))
     note_line = round(1.1 * letters)
@@ -127,17 +119,13 @@ def sheet(
             # Whole factors repeat pixels; smaller ones average them.
             scaling = Image.Resampling.NEAREST if factor >= 1 else Image.Resampling.BOX
             canvas.paste(Image.fromarray(pixels).resize(size, scaling), (x, below_caption))
-            if panel.crossed:
-                _cross(draw, (x, below_caption, x + size[0], below_caption + size[1]), letters)
             note_top = below_caption + size[1] + 4
             if panel.mark is not None:
-                _disc(
-                    canvas, panel.mark, (x, note_top + round(0.05 * letters)), round(0.8 * letters)
-                )
+                _disc(draw, panel.mark, (x, note_top + round(0.05 * letters)), round(0.8 * letters))
                 x += note_line
             for k, text in enumerate(notes[i][j]):
                 at = (x, note_top + k * note_line)
-                draw.text(at, text, fill=REFUSED if panel.crossed else INK, font=note_font)
+                draw.text(at, text, fill=INK, font=note_font)
         y += heights[i]
     for i, key in enumerate(keys):
         _draw_key(draw, key, (MARGIN + gutter, y + i * below), letters)
@@ -161,40 +149,17 @@ def _wrapped(panel: Panel | None, width: int, font: Font, indent: int) -> list[s
     return lines
 
 
-def _disc(canvas: Image.Image, mark: Mark, corner: tuple[int, int], side: int) -> None:
-    """Paste a mark; drawn large and averaged down, so that its edge is smooth."""
-    large, color = 8 * side, _ink(mark.color)
-    drawn = Image.new("RGB", (large, large), color=PAPER)
-    draw, rim = ImageDraw.Draw(drawn), large // 10
-    draw.ellipse((0, 0, large - 1, large - 1), outline=color, width=rim)
-    inside = Image.new("L", (large, large))
-    ImageDraw.Draw(inside).ellipse(
-        (rim // 2, rim // 2, large - rim // 2, large - rim // 2), fill=255
-    )
-    inside.paste(0, (round(mark.filled * large), 0, large, large))
-    drawn.paste(color, (0, 0), inside)
-    canvas.paste(drawn.resize((side, side), Image.Resampling.BOX), corner)
-
-
-def _cross(draw: ImageDraw.ImageDraw, box: tuple[int, int, int, int], letters: int) -> None:
-    """Frame a picture in red, with a white cross on red in its upper right corner."""
-    left, top, right, bottom = box
-    width = max(3, letters // 5)
-    draw.rectangle((left, top, right - 1, bottom - 1), outline=REFUSED, width=width)
-    side, inset = 2 * letters, letters // 2
-    draw.rectangle((right - side, top, right - 1, top + side - 1), fill=REFUSED)
-    low, high = (right - side + inset, top + inset), (right - 1 - inset, top + side - 1 - inset)
-    draw.line([low, high], fill=PAPER, width=width)
-    draw.line([(low[0], high[1]), (high[0], low[1])], fill=PAPER, width=width)
+def _disc(draw: ImageDraw.ImageDraw, mark: Mark, corner: tuple[int, int], side: int) -> None:
+    """Draw a mark: a ring, filled from the left."""
+    (left, top), color = corner, _ink(mark.color)
+    for x in range(round(mark.filled * side)):
+        half = math.sqrt((side / 2) ** 2 - (x + 0.5 - side / 2) ** 2)
+        draw.line([(left + x, top + side / 2 - half), (left + x, top + side / 2 + half)], color)
+    draw.ellipse((left, top, left + side - 1, top + side - 1), outline=color, width=side // 10)
 
 
 def _has_captions(row: Row) -> bool:
     return any(panel is not None and panel.caption for panel in row)
-
-
-def as_png(pixels: NDArray[np.uint8]) -> bytes:
-    """Encode a sheet."""
-    return bytes(encode_png(pixels, "srgb"))
 
 
 def _draw_key(draw: ImageDraw.ImageDraw, key: Key, corner: tuple[int, int], letters: int) -> None:
@@ -227,7 +192,7 @@ def _ink(color: NDArray[np.floating[Any]] | tuple[float, float, float]) -> tuple
 
 def displayed(linear: NDArray[np.floating[Any]], white: float = 1.0) -> NDArray[np.floating[Any]]:
     """Linear radiance (H, W, 3) as it goes to the screen; NaN becomes grey."""
-    return outside_grey(metrics.display(linear, white))
+    return outside_grey(encoded(linear / white))
 
 
 def outside_grey(values: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.json_files import positive, share
+from pbrfit.io.json_files import as_json, read_as
 from pbrfit.model.materials import Materials
 from pbrfit.result.verdict import PARAMETERS, Verdict, verdicts_of
 
 KINDS = ("", "low.", "high.")
 """Prefixes of the channels of deviations and of both quantiles."""
+
+NUMBERS = ("noise", "effective_share", "albedo_scale")
+"""Fields of `Uncertainty` that are in `result.json` as they are."""
 
 TWO_SIDED = 1.96
 """Deviations of a normal distribution on each side that hold 0.95 of it."""
@@ -55,11 +58,9 @@ class Uncertainty:
         # In float32, as in files: a result that is read and written again stays the same.
         of_maps = {name: getattr(self.deviation, name).astype(np.float32) for name in PARAMETERS}
         return {
-            "noise": self.noise,
-            "effective_share": self.effective_share,
-            "albedo_scale": list(self.albedo_scale),
+            **{name: getattr(self, name) for name in NUMBERS},
             "median_deviation": {n: float(np.median(of[valid])) for n, of in of_maps.items()},
-            "verdicts": {name: asdict(one) for name, one in self.verdicts.items()},
+            "verdicts": as_json(self.verdicts),
         }
 
     def layers(self) -> dict[str, NDArray[Any]]:
@@ -84,16 +85,13 @@ class Uncertainty:
             inside = np.where(mask[..., None], maps[..., first : first + 5], np.nan)
             return Materials(inside[..., :3], inside[..., 3], inside[..., 4])
 
-        red, green, blue = map(positive, summary["albedo_scale"])
         if not ((maps[mask] >= 0) & (maps[mask] <= 1)).all():
             raise ValueError("deviations or bounds that are NaN or not from 0 to 1")
         return cls(
             deviation=values(0),
             low=values(1),
             high=values(2),
-            noise=None if summary["noise"] is None else positive(summary["noise"]),
-            effective_share=share(summary["effective_share"]),
-            albedo_scale=(red, green, blue),
+            **{name: read_as(get_type_hints(cls)[name], summary[name]) for name in NUMBERS},
             verdicts=verdicts_of(summary),
         )
 

@@ -15,7 +15,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.json_files import share, table, text
+from pbrfit.io.json_files import read_as, table
 from pbrfit.model.materials import Materials
 from pbrfit.result.held_out import HeldOut
 
@@ -103,16 +103,6 @@ class Verdict:
         """All of it, as it stands beside a map."""
         return f"{self.level}, {self.error_in_words}{self.why}"
 
-    @classmethod
-    def from_json(cls, content: Any) -> Verdict:
-        """From its fields in `result.json`; raises one of `json_files.UNFIT` if unfit."""
-        content = table(content)
-        level = text(content["level"])
-        if level not in LEVELS:
-            raise ValueError(f"level {level!r}")
-        expected = share(content["expected_error"])
-        return cls(level, expected, text(content["cause"]), text(content["remedy"]))
-
 
 def level_of(name: str, expected_error: float) -> Level:
     """What a map of this name is said to be usable for."""
@@ -191,7 +181,7 @@ def verdicts_of(summary: Any) -> dict[str, Verdict]:
     if summary is None:
         return {}
     found = table(table(summary)["verdicts"])
-    verdicts = {name: Verdict.from_json(found[name]) for name in PARAMETERS}
+    verdicts = {name: read_as(Verdict, found[name]) for name in PARAMETERS}
     for name, one in verdicts.items():
         deserves = level_of(name, one.expected_error)
         if LEVELS.index(one.level) < LEVELS.index(deserves):

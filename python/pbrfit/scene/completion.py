@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,17 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.io import images
 from pbrfit.io.checks import any_array
-from pbrfit.io.depth_files import DEPTH_FILES
 from pbrfit.io.input_files import there
 from pbrfit.io.lamp_files import LAMP_FILES, find_lamps, write_lamps
 from pbrfit.io.normal_files import NORMAL_FILES, find_normals, write_normals
 from pbrfit.io.output import check_free_file, new_file
 from pbrfit.io.weight_files import WEIGHT_FILE, write_weights
-from pbrfit.model.estimates import ESTIMATES_FILE, write
-from pbrfit.model.lamps import Lamps, rows_of_lamps
-from pbrfit.model.materials import Materials
+from pbrfit.model.lamps import Lamps, entries_of_lamps
 from pbrfit.scene import folder as scene_folder
 from pbrfit.scene.folder import HEIGHT_FILE
 from pbrfit.scene.writing import write_height
@@ -96,17 +92,25 @@ def _to_convention(folder: Path, normals: NDArray[np.floating[Any]]) -> NDArray[
         raise InputError(f"{folder / 'scene.toml'}: {error}") from None
 
 
-def add_depth(folder: Path, depth: NDArray[np.floating[Any]], *, overwrite: bool = False) -> Path:
-    """Write `depth.exr`; returns its path.
+def add_map(
+    folder: Path,
+    what: str,
+    names: Sequence[str],
+    plane: NDArray[Any],
+    write: Callable[[Path], object],
+    *,
+    overwrite: bool,
+) -> Path:
+    """Have the first of the `names` of a map written, of which `plane` is one; returns its path.
 
-    Distances (H, W) along the camera's axis are of the pictures' size, NaN where unknown. Raises
-    FileExistsError if there is depth and `overwrite` is False; InputError if its size differs.
+    Raises FileExistsError if there is one and `overwrite` is False; InputError if its size is not
+    the pictures'.
     """
-    check_none(folder, DEPTH_FILES, "depth", overwrite=overwrite)
-    any_array("depth", depth, picture_size(folder))
-    path = folder / DEPTH_FILES[0]
-    images.write_exr(path, {"Z": depth})  # what cannot be written costs nothing
-    for name in DEPTH_FILES[1:]:
+    check_none(folder, names, what, overwrite=overwrite)
+    any_array(what, plane, picture_size(folder))
+    path = folder / names[0]
+    write(path)  # what cannot be written costs nothing
+    for name in names[1:]:
         (folder / name).unlink(missing_ok=True)
     return path
 
@@ -133,7 +137,7 @@ def add_lamps(folder: Path, lamps: Lamps, *, overwrite: bool = False) -> Path:
     lamps.check_pictures(len(names))
     path = folder / LAMP_FILES[0]
     with new_file(path, overwrite=overwrite) as temporary:
-        write_lamps(temporary, rows_of_lamps(lamps, names))
+        write_lamps(temporary, entries_of_lamps(lamps, names))
     return path
 
 
@@ -146,24 +150,3 @@ def check_no_lamps(folder: Path, *, overwrite: bool) -> None:
     other = f"it is read as it is; move it away to write {LAMP_FILES[0]}"
     remedy = "overwrite=True replaces" if own else other
     raise FileExistsError(f"{path}: expected no lamps yet, found some; {remedy}")
-
-
-def add_estimates(folder: Path, estimates: Materials, *, overwrite: bool = False) -> Path:
-    """Write `estimates.exr`; returns its path; errors are as of `add_segments`."""
-    check_none(folder, [ESTIMATES_FILE], "estimates", overwrite=overwrite)
-    any_array("estimates", estimates.roughness, picture_size(folder))
-    path = folder / ESTIMATES_FILE
-    write(path, estimates)
-    return path
-
-
-def add_segments(folder: Path, ids: NDArray[np.uint16], *, overwrite: bool = False) -> Path:
-    """Write `segments.png`; returns its path.
-
-    Raises FileExistsError if there are some and `overwrite` is False; InputError if sizes differ.
-    """
-    check_none(folder, [scene_folder.SEGMENT_FILE], "segments", overwrite=overwrite)
-    any_array("segments", ids, picture_size(folder))
-    path = folder / scene_folder.SEGMENT_FILE
-    images.write_png(path, ids, tag=None)
-    return path

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -297,20 +297,23 @@ def find_flats(folder: Path) -> list[Path]:
     return _all_in(below)
 
 
-def digests(scene: ScenePath) -> dict[str, str]:
-    """What `load` would put into `Scene.inputs`, without decoding anything.
+def digests(
+    scene: ScenePath | SceneFiles, known: Mapping[str, str] | None = None
+) -> dict[str, str]:
+    """What `load` puts into `Scene.inputs`, without decoding anything; some may be `known`.
 
     Raises InputError or OSError as `locate`, or if a file cannot be read, or there are two with
     depth, or with lamps, or two dark frames.
     """
-    files = locate(scene)
-    folder = files.folder
+    files = scene if isinstance(scene, SceneFiles) else locate(scene)
+    folder, known = files.folder, known or {}
     found = list(dict.fromkeys(map(images.file_of, files.pictures)))
     if files.parts:
         found += [*find_normals(folder), *(folder / part for part in PARTS), *find_flats(folder)]
         single = (find_depth(folder), find_frame(folder, DARK_FRAME))
         found += [*find_lamps(folder), *filter(None, single), *truth_files(folder)]
-    return {files.relative(path): digest(path) for path in filter(there, found)}
+    named = {files.relative(path): path for path in filter(there, found)}
+    return {name: known.get(name) or digest(path) for name, path in sorted(named.items())}
 
 
 def is_scene(folder: Path) -> bool:

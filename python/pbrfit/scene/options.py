@@ -13,7 +13,7 @@ import numpy as np
 
 from pbrfit._core import InputError
 from pbrfit.io import images
-from pbrfit.io.checks import of_what, real_array
+from pbrfit.io.checks import of_what, one_of, real_array
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.depth_files import METRES
 from pbrfit.io.images import Orientation
@@ -72,9 +72,8 @@ class ReadOptions:
             object.__setattr__(self, "fov", float(self.fov))
         for name, choices in CHOICES.items():
             found = getattr(self, name, None)
-            if found is not None and found not in choices:
-                expected = f"expected one of {', '.join(choices)}"
-                raise InputError(f"{name}: {expected}, found {quoted(found)}")
+            if found is not None:
+                one_of(name, found, choices)
         if not isinstance(self.layer, str | None):
             raise InputError(f"layer: expected a name, found {of_what(self.layer)}")
         if self.max_size is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Sequence
+from collections import Counter
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -21,12 +21,11 @@ from pbrfit.io import images
 from pbrfit.io.color import Place
 from pbrfit.io.depth_files import METRES, find_depth, read_depth
 from pbrfit.io.file_noise import FileNoise
-from pbrfit.io.input_files import digest, there
+from pbrfit.io.input_files import there
 from pbrfit.io.lamp_files import find_lamps
 from pbrfit.io.limits import AT_LEAST
 from pbrfit.io.normal_files import MIN_NORMAL_LENGTH, UNCERTAINTY, find_normals, read_normals
 from pbrfit.io.quoting import listed, quoted, shown
-from pbrfit.io.raw_files import RAW_SUFFIXES
 from pbrfit.io.resampling import at_centres, averaged, averaged_channels, reduced_size
 from pbrfit.io.weight_files import WEIGHT_FILE, read_weights, reduced
 from pbrfit.model import estimates as of_tools
@@ -53,10 +52,10 @@ from pbrfit.scene.folder import (
     SEGMENT_FILE,
     SceneFiles,
     ScenePath,
+    digests,
     find_flats,
     find_frame,
     locate,
-    truth_files,
     warn_of_near_misses,
 )
 from pbrfit.scene.options import AS_STATED, ReadOptions, Settings, Source
@@ -97,8 +96,8 @@ class _Notes:
     """What is asked for, else what the folder says."""
     size: tuple[int, int] = (0, 0)
     """(height, width) of whole pictures, and so of every map beside them."""
-    inputs: dict[str, str] = field(default_factory=dict)
-    """As `Scene.inputs`."""
+    read: dict[str, str] = field(default_factory=dict)
+    """sha256 of pictures, as in `Scene.inputs`."""
     assumed: dict[str, str] = field(default_factory=dict)
     """As `Scene.assumed`."""
 
@@ -106,28 +105,21 @@ class _Notes:
     def of(cls, scene: ScenePath | SceneFiles, options: ReadOptions, **changed: Any) -> _Notes:
         """Find the files of a scene; `changed` are options that count whatever is asked for."""
         files = scene if isinstance(scene, SceneFiles) else locate(scene)
-        if len(set(files.names)) != len(files.names):
-            raise InputError(f"{files.pictures[0].parent}: {_twice(files.pictures)}")
+        count = Counter(files.names)
+        if twice := [path.name for path in files.pictures if count[path.stem] > 1]:
+            found = f"{listed(twice)}: take others away, such as JPEG beside raw files"
+            parent = files.pictures[0].parent
+            raise InputError(f"{parent}: expected one picture a name, found {found}")
         settings = files.settings()
         notes = cls(files, options, settings, replace(options.or_else(settings), **changed))
-        notes.has("scene.toml")
         if files.said:
             notes.assumed["layout"] = f"pictures: {files.said}"
         return notes
 
-    def has(self, name: str) -> bool:
-        """Whether there is a part of that name; if so, it is an input."""
+    def part(self, name: str) -> Path | None:
+        """The file of that name, where there is one and it belongs to the pictures."""
         path = self.files.folder / name
-        if self.files.parts and there(path):
-            self.inputs[name] = digest(path)
-        return name in self.inputs
-
-    def part(self, finder: Callable[[Path], Path | None]) -> Path | None:
-        """The part that a function finds; if there is one, it is an input."""
-        path = self.files.find(finder)
-        if path is not None:
-            self.has(self.files.relative(path))
-        return path
+        return path if self.files.parts and there(path) else None
 
     def window(self, path: Path, size: tuple[int, ...]) -> tuple[slice, slice]:
         """Rows and columns that are used of a map; InputError unless it has the pictures' size."""
@@ -230,15 +222,12 @@ def load(
     weights = _product(factors, read)
 
     lighting = None
-    if notes.has("lighting.json"):
-        lighting_path = folder / "lighting.json"
+    if lighting_path := notes.part("lighting.json"):
         lighting = Lighting.load(lighting_path).of(names, lighting_path)
         assumed["lighting"] = "known, from lighting.json"
 
     lamps = None
     if of_lamps := files.find(find_lamps):
-        for path in of_lamps:
-            notes.has(files.relative(path))
         lamps, assumed["lamps"] = known_lamps.load(of_lamps[0], names)
 
     fov, fov_known, assumed["fov"] = notes.decided_fov(read.focal_length)
@@ -250,8 +239,6 @@ def load(
     truth = None
     if files.parts:
         truth = _read_truth(folder / "truth", names, size if full_size == notes.size else (0, 0))
-        for path in truth_files(folder):
-            notes.has(files.relative(path))
     named = tuple(map(files.relative, files.pictures)) if files.named else ()
     kept = read.different(notes)
     try:
@@ -273,7 +260,7 @@ def load(
             names=names,
             truth=truth,
             assumed=assumed,
-            inputs=dict(sorted(notes.inputs.items())),
+            inputs=digests(files, notes.read),
             source=Source(folder.resolve(), options, named, full_size, fitted if look else None),
             model=model,
             response=None if read.curve_told or changed or notes.how.color_matrix else "srgb",
@@ -295,11 +282,6 @@ class Surface:
     """(H, W, 3) unit vectors in camera space, NaN outside the mask; None = no file has them."""
     mask: NDArray[np.bool_]
     segments: NDArray[np.uint16] | None
-
-
-def field_of_view(scene: ScenePath, options: ReadOptions = AS_STATED) -> float:
-    """That of whole pictures, as `load` decides, and raises; of pictures it reads the first."""
-    return _Notes.of(scene, options, crop=None).look_at_first()
 
 
 def read_surface(scene: ScenePath, options: ReadOptions = AS_STATED) -> Surface:
@@ -363,7 +345,7 @@ class Pictures:
         """Of the first picture that has one, 35 mm equivalent, millimetres."""
         self.curve_told = False
         """Whether somebody says of any picture by which curve its values are decoded."""
-        self.told: dict[str, dict[str, list[str]]] = {"color": {}, "encoding": {}, "remarks": {}}
+        self.told: dict[str, dict[str, list[str]]] = {"color": {}, "encoding": {}, "pictures": {}}
         """Names of files by what they say of a topic."""
         self.shared: dict[str, dict[str, list[str]]] = {}
         """Names of files by camera, exposure and the like, and by the value of each."""
@@ -410,13 +392,13 @@ class Pictures:
         self.focal_length = self.focal_length or picture.taken.focal_length_35mm
         self.curve_told |= picture.curve_told
         forms = () if picture.stored is None else (picture.stored.in_words(),)
-        topics = {"color": (picture.color,), "encoding": forms, "remarks": picture.notes}
+        topics = {"color": (picture.color,), "encoding": forms, "pictures": picture.notes}
         for topic, said in topics.items():
             for one in said:
                 self.told[topic].setdefault(one, []).append(path.name)
         for what, value in picture.taken.settings.items():
             self.shared.setdefault(what, {}).setdefault(value, []).append(path.name)
-        self._notes.inputs[self._notes.files.relative(path)] = picture.sha256
+        self._notes.read[self._notes.files.relative(path)] = picture.sha256
 
     def different(self, notes: _Notes) -> list[int]:
         """The first of each group of pictures that are equal, to the bit; others are told."""
@@ -465,12 +447,11 @@ def _read_pictures(notes: _Notes, look: int | None = None) -> Pictures:
     for color, names_of in read.told["color"].items():
         alone = len(read.told["color"]) == 1
         notes.assumed["color" if alone else f"color of {', '.join(names_of)}"] = color
-    if forms := read.told["encoding"]:
-        notes.assumed["encoding"] = _in_words(forms)
-    if remarks := read.told["remarks"]:
-        notes.assumed["pictures"] = "; ".join(
-            f"{remark}: {listed(names)}" for remark, names in remarks.items()
-        )
+    for topic in ("encoding", "pictures"):
+        if told := read.told[topic]:
+            alone = topic == "encoding" and len(told) == 1
+            said = [one if alone else f"{one}: {listed(names)}" for one, names in told.items()]
+            notes.assumed[topic] = "; ".join(said)
     _compare_settings(read.shared, notes)
     if how.color_matrix is not None:
         rows = "; ".join(" ".join(map("{:.3f}".format, row)) for row in how.color_matrix)
@@ -511,20 +492,6 @@ def _product(factors: list[Weights | None], read: Pictures) -> Weights | None:
     return np.broadcast_to(math.prod(known), read.pixels.shape) if known else None
 
 
-def _twice(paths: Sequence[Path]) -> str:
-    """What is wrong with pictures of which some have the name of another."""
-    of_name: dict[str, list[str]] = {}
-    for path in paths:
-        of_name.setdefault(path.stem, []).append(path.name)
-    pairs = [files for files in of_name.values() if len(files) > 1]
-    said = f"expected one picture a name, found {' and '.join(map(shown, pairs[0]))}"
-    if len(pairs) > 1:
-        said += f", and {len(pairs) - 1} more such pair{'s' * (len(pairs) > 2)}"
-    raw = any(Path(name).suffix.lower() in RAW_SUFFIXES for name in pairs[0])
-    hint = "; raw files are linear light, read with pbrfit[raw]" * raw
-    return f"{said}: take one of them away{hint}"
-
-
 def _compare_settings(shared: dict[str, dict[str, list[str]]], notes: _Notes) -> None:
     """Say which pictures of a set were taken or stored otherwise than the others."""
     differing = {}
@@ -548,15 +515,6 @@ def _compare_settings(shared: dict[str, dict[str, list[str]]], notes: _Notes) ->
             "%s: expected one %s of all pictures, found %s: %s",
             *(notes.files.folder, what, differing[what], consequences[what]),
         )
-
-
-def _in_words(forms: dict[str, list[str]]) -> str:
-    """The forms of integer files, the most frequent first, and how many files have each."""
-    if len(forms) == 1:
-        return next(iter(forms))
-    often = sorted(forms, key=lambda form: -len(forms[form]))
-    more = f"; {len(often) - 3} other forms" if len(often) > 3 else ""
-    return "; ".join(f"{len(forms[form])} files {form}" for form in often[:3]) + more
 
 
 def _limits(
@@ -607,7 +565,7 @@ class _Frame:
 
 
 def _read_dark(notes: _Notes) -> _Frame | None:
-    path = notes.part(partial(find_frame, name=DARK_FRAME))
+    path = notes.files.find(partial(find_frame, name=DARK_FRAME))
     return None if path is None else _read_frame(notes, path)
 
 
@@ -639,8 +597,6 @@ def _calibrate(
     if not paths:
         return None
     names = notes.files.names
-    for path in paths:
-        notes.has(notes.files.relative(path))
     of_name = {path.stem: path for path in paths}
     if paths[0].parent == notes.files.folder:
         of_name, said = dict.fromkeys(names, paths[0]), paths[0].name
@@ -716,9 +672,9 @@ def _subtract(
 
 def _read_weights(notes: _Notes, mask: NDArray[np.bool_]) -> Weights | None:
     """`weights.exr` (1 or N, H, W, 1 or 3) at the working size, that of `mask`; 0 outside it."""
-    if not notes.has(WEIGHT_FILE):
+    path = notes.part(WEIGHT_FILE)
+    if path is None:
         return None
-    path = notes.files.folder / WEIGHT_FILE
     stored = read_weights(path, notes.files.names)
     stored = stored[(..., *notes.window(path, stored.shape[-3:-1]), slice(None))]
     weights = stored if mask.shape == stored.shape[-3:-1] else reduced(stored, mask.shape)
@@ -739,9 +695,9 @@ def _read_weights(notes: _Notes, mask: NDArray[np.bool_]) -> Weights | None:
 
 
 def _read_mask(notes: _Notes) -> NDArray[np.bool_]:
-    if not notes.has("mask.png"):
+    path = notes.part("mask.png")
+    if path is None:
         return np.ones(notes.size, dtype=bool)[notes.how.window(notes.size)]
-    path = notes.files.folder / "mask.png"
     drawn = images.read_data(path)
     drawn = drawn[notes.window(path, drawn.shape[:2])]
     colors = drawn[..., : 3 if drawn.shape[-1] >= 3 else 1]
@@ -763,15 +719,16 @@ def _read_mask(notes: _Notes) -> NDArray[np.bool_]:
 
 
 def _read_segments(notes: _Notes) -> NDArray[np.uint16] | None:
-    if not notes.has(SEGMENT_FILE):
+    path = notes.part(SEGMENT_FILE)
+    if path is None:
         return None
-    segments = images.read_ids(notes.files.folder / SEGMENT_FILE)
-    return segments[notes.window(notes.files.folder / SEGMENT_FILE, segments.shape)]
+    segments = images.read_ids(path)
+    return segments[notes.window(path, segments.shape)]
 
 
 def _read_depth(notes: _Notes) -> scene_depth.Depth | None:
     """Distances along the camera's axis, NaN where there is none."""
-    path = notes.part(find_depth)
+    path = notes.files.find(find_depth)
     if path is None:
         return None
     stored, how = read_depth(path, METRES[notes.how.depth_unit or "m"], own=True)
@@ -787,9 +744,9 @@ def _read_depth(notes: _Notes) -> scene_depth.Depth | None:
 
 def _read_estimates(notes: _Notes) -> Materials | None:
     """Maps of materials that another tool estimated."""
-    if not notes.has(of_tools.ESTIMATES_FILE):
+    path = notes.part(of_tools.ESTIMATES_FILE)
+    if path is None:
         return None
-    path = notes.files.folder / of_tools.ESTIMATES_FILE
     found = of_tools.read(path)
     rows, columns = notes.window(path, found.roughness.shape)
     notes.assumed["estimates"] = f"{listed(of_tools.known_maps(found))} from {path.name}"
@@ -838,7 +795,6 @@ def _read_normals(
     if len(found) == 2:
         raise InputError(f"{folder}: expected normals.exr or normals.png, found both")
     [path] = found
-    notes.has(path.name)
     window = notes.how.window(notes.size)
     whole: NDArray[np.bool_] = np.zeros(notes.size, bool)
     whole[window] = mask

@@ -15,7 +15,7 @@ from pbrfit.io.normal_files import write_normals
 from pbrfit.io.output import new_folder
 from pbrfit.io.weight_files import WEIGHT_FILE, write_weights
 from pbrfit.model import estimates
-from pbrfit.model.lamps import rows_of_lamps
+from pbrfit.model.lamps import entries_of_lamps
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import nearest_inside, write_materials
 from pbrfit.scene.arrays import SceneArrays, Truth, consecutive_labels
@@ -57,7 +57,7 @@ def save(scene: SceneArrays, path: Path, *, overwrite: bool = False) -> None:
         if scene.lighting is not None:
             Lighting(scene.names, scene.lighting).save(folder / "lighting.json")
         if scene.lamps is not None:
-            write_lamps(folder / LAMP_FILES[0], rows_of_lamps(scene.lamps, scene.names))
+            write_lamps(folder / LAMP_FILES[0], entries_of_lamps(scene.lamps, scene.names))
         if scene.truth is not None:
             _write_truth(scene.truth, scene, folder / "truth")
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, get_args
-
-from pbrfit.io.json_files import figures, flag, number, positive, table, text
+from typing import Literal
 
 Kind = Literal["none", "occlusion", "bounce"]
 """Whether surroundings do nothing, block light, or also bring the light that they reflect."""
@@ -69,24 +67,6 @@ class Transport:
     def blocks(self) -> bool:
         """Whether surroundings do anything."""
         return self.kind != "none"
-
-    @classmethod
-    def from_json(cls, content: Any) -> Transport:
-        """From its fields in `result.json`; ValueError if unfit."""
-        values = table(content)
-        [kind] = [one for one in get_args(Kind) if one == values.get("kind")]
-        extents = None
-        if values.get("extents") is not None:
-            given = table(values["extents"])
-            extents = Extents(
-                thickness=positive(given["thickness"]),
-                height=None if given["height"] is None else number(given["height"]),
-                behind=None if given["behind"] is None else positive(given["behind"]),
-                ceiling=flag(given["ceiling"]),
-                blocks=tuple(map(flag, given["blocks"])),
-                reach=positive(given["reach"]),
-            )
-        return cls(kind, text(values["why"]), extents, figures(values["figures"]))
 
 
 NOT_TRIED = Transport()

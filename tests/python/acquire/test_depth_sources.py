@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from command_runs import done, refused
 from pbrfit import Scene
 from pbrfit._core import InputError
-from pbrfit.acquire import marigold
-from pbrfit.acquire.depth import depth_anything
-from pbrfit.acquire.depth.offset import with_offset
+from pbrfit.acquire import depth_anything, marigold
+from pbrfit.acquire.depth import with_offset
 from pbrfit.acquire.marigold import aligned_mean
 from pbrfit.io import images
 from pbrfit.model import geometry

@@ -16,7 +16,7 @@ from PIL import Image
 
 from acquire_run import CATALOGUE, SIZE, Counting, Strict, failing, pixels, refusing, write_photo
 from pbrfit._core import InputError
-from pbrfit.acquire.depth import depth_anything
+from pbrfit.acquire import depth_anything
 from pbrfit.acquire.generation import generate
 from pbrfit.acquire.generation_report import GenerationReport
 from pbrfit.acquire.generators import Request

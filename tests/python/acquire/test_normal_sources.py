@@ -16,11 +16,12 @@ from pbrfit._core import InputError
 from pbrfit.acquire.marigold import mean_and_spread
 from pbrfit.acquire.normals import HALF_WEIGHT, estimate, weights_of
 from pbrfit.acquire.photo import shown_to_network
+from pbrfit.display.tone import encoded
 from pbrfit.io import images
 from pbrfit.io.normal_files import UNCERTAINTY, Convention, read_normals
 from pbrfit.model.depth_normals import from_depth
 from pbrfit.model.geometry import angles_between, facing_away, view_directions
-from pbrfit.result.metrics import display, white_of
+from pbrfit.result.metrics import white_of
 from pbrfit.scene.scene import Scene
 from scene_files import LIGHTS, SIZE, known, room, world, write_folder
 
@@ -373,7 +374,7 @@ def test_a_network_is_shown_the_mean_of_all_pictures_or_one_by_name(folder: Path
     ):
         found, said = shown_to_network(folder, name)
         assert said == what
-        expected = np.rint(255 * display(light, white_of(light)))
+        expected = np.rint(255 * encoded(light / white_of(light)))
         assert np.abs(found.astype(int) - expected).max() <= 1
     with pytest.raises(InputError, match=f"picture: expected one of {names[0]}"):
         shown_to_network(folder, "other")

@@ -85,8 +85,6 @@ def test_ids_of_a_file_are_taken_at_centres(tmp_path: Path) -> None:
     assert record == {"source": "file", "file": "ids.png", "segments": SIZE * SIZE - 1}
     with pytest.raises(InputError, match=r"ids\.png: expected the pictures' size, 10 × 5 pixels"):
         segment(str(path), np.zeros((5, 10, 3), np.uint8))
-    with pytest.raises(InputError, match="segments: expected sam2 or a file, found 'sam'"):
-        segment("sam", np.zeros((5, 10, 3), np.uint8))
 
 
 def test_the_command_puts_them_beside_the_pictures(tmp_path: Path) -> None:

@@ -309,11 +309,6 @@ CALLS: dict[str, Call] = {
     "scaled_per_channel": Call(
         metrics.scaled_per_channel, picture_pair, nan_out=True, inf_out=True
     ),
-    "display": Call(
-        metrics.display,
-        lambda: {"radiance": np.random.default_rng(3).random((4, 5, 3)), "white": 0.9},
-        nan_out=True,
-    ),
 }  # fmt: skip
 
 

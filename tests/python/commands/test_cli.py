@@ -290,7 +290,7 @@ def test_check_gradients(
     ("prior", "complaint"),
     [
         ("cohesin=1", "expected NAME=WEIGHT with one of material, cohesion, smoothness"),
-        ("cohesion=", "expected a finite weight of 0 or more for cohesion, found ''"),
+        ("cohesion=", "and a weight of 0 or more, found 'cohesion='"),
     ],
 )
 def test_unusable_priors_are_named(folder: Path, prior: str, complaint: str) -> None:

@@ -6,6 +6,8 @@ import io
 import json
 import re
 import shutil
+from collections.abc import Callable
+from contextlib import redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +24,7 @@ from pbrfit.commands.scene_display import Row, batch_table
 from pbrfit.commands.terminal import CUBE, held_out_lines, verdict_lines
 from pbrfit.fit.decompose import decompose
 from pbrfit.fit.run import Progress
+from pbrfit.io.json_files import read_as
 from pbrfit.result.held_out import HeldOut
 from pbrfit.result.result import Result
 from pbrfit.result.verdict import LEVELS, MARKS, Level, Verdict
@@ -52,6 +55,12 @@ class Stream(io.StringIO):
         return self._terminal
 
 
+def on(stream: Stream, lines: Callable[..., list[str]], *arguments: object) -> list[str]:
+    """What is made for a stream in the place of stdout."""
+    with redirect_stdout(stream):
+        return lines(*arguments)
+
+
 @pytest.fixture(autouse=True)
 def colors(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("NO_COLOR", raising=False)
@@ -60,44 +69,44 @@ def colors(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_three_lines_and_what_to_do_next() -> None:
-    assert verdict_lines(VERDICTS, STEPS, Stream(terminal=False)) == [
+    assert on(Stream(terminal=False), verdict_lines, VERDICTS, STEPS) == [
         "● albedo:    usable          expected error ± 0.03",
         "◐ roughness: rough guide     expected error ± 0.12",
         "○ metallic:  not determined  expected error ± 0.31",
         "next: noise: more pictures would help roughness",
         "also: it is a guess: another (--fov) would",
     ]
-    assert verdict_lines({}, (), Stream(terminal=False)) == []
+    assert on(Stream(terminal=False), verdict_lines, {}, ()) == []
 
 
 def test_two_lines_about_left_out_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert held_out_lines(EXPLAINED, Stream(terminal=False)) == [SENTENCE, DECISION]
-    assert held_out_lines(None, Stream(terminal=False)) == []
-    sentence, decision = held_out_lines(EXPLAINED, Stream(terminal=True))
+    assert on(Stream(terminal=False), held_out_lines, EXPLAINED) == [SENTENCE, DECISION]
+    assert on(Stream(terminal=False), held_out_lines, None) == []
+    sentence, decision = on(Stream(terminal=True), held_out_lines, EXPLAINED)
     assert decision.startswith(f"\x1b[2mchosen:\x1b[0m {LAMP}; second:")
     monkeypatch.setenv("NO_COLOR", "1")
-    sentence, decision = held_out_lines(EXPLAINED, Stream(terminal=True))
+    sentence, decision = on(Stream(terminal=True), held_out_lines, EXPLAINED)
     assert max(map(len, f"{sentence}\n{decision}".split("\n"))) < 80
     assert sentence.replace("\n  ", " ") == SENTENCE
     assert decision.replace(f"\n{' ' * len('chosen: ')}", " ") == DECISION
 
 
 def test_colors_are_for_terminals_that_want_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    plain = verdict_lines(VERDICTS, STEPS, Stream(terminal=False))
-    colored = verdict_lines(VERDICTS, STEPS, Stream(terminal=True))
+    plain = on(Stream(terminal=False), verdict_lines, VERDICTS, STEPS)
+    colored = on(Stream(terminal=True), verdict_lines, VERDICTS, STEPS)
     assert "\x1b[38;5;32m●\x1b[0m" in colored[0]
     assert [re.sub(r"\x1b\[[0-9;]*m", "", line) for line in colored] == plain
     for name, value in (("NO_COLOR", "1"), ("TERM", "dumb")):
         with monkeypatch.context() as patch:
             patch.setenv(name, value)
-            assert verdict_lines(VERDICTS, STEPS, Stream(terminal=True)) == plain
+            assert on(Stream(terminal=True), verdict_lines, VERDICTS, STEPS) == plain
     monkeypatch.setenv("NO_COLOR", "")  # which asks for nothing (no-color.org)
-    assert verdict_lines(VERDICTS, STEPS, Stream(terminal=True)) == colored
+    assert on(Stream(terminal=True), verdict_lines, VERDICTS, STEPS) == colored
 
 
 def test_levels_differ_without_colors_and_without_the_discs() -> None:
     for encoding in ("utf-8", "ascii"):
-        lines = verdict_lines(VERDICTS, (), Stream(terminal=False, encoding=encoding))
+        lines = on(Stream(terminal=False, encoding=encoding), verdict_lines, VERDICTS, ())
         assert len({line[0] for line in lines}) == len(LEVELS)
         assert all(line[0].encode(encoding) for line in lines)
 
@@ -119,10 +128,10 @@ def test_long_steps_are_wrapped_in_a_terminal_alone(monkeypatch: pytest.MonkeyPa
     monkeypatch.setenv("NO_COLOR", "1")
     monkeypatch.setenv("COLUMNS", "40")
     step = "one word after another " * 4
-    [line] = verdict_lines({}, (step,), Stream(terminal=True))
+    [line] = on(Stream(terminal=True), verdict_lines, {}, (step,))
     assert all(len(part) < 40 for part in line.split("\n"))
     assert {part[:6] for part in line.split("\n")[1:]} == {" " * 6}
-    [line] = verdict_lines({}, (step,), Stream(terminal=False))
+    [line] = on(Stream(terminal=False), verdict_lines, {}, (step,))
     assert "\n" not in line
 
 
@@ -224,7 +233,7 @@ def test_a_scene_says_how_its_left_out_pictures_are_explained(
     assert done(*fit_of_one, "--resume", "--quiet") == ""
     for again in ("--overwrite", "--resume"):
         [line] = done(*fit_of_one, "--json", again).splitlines()
-        assert HeldOut.from_json(json.loads(line)["held_out"]) == EXPLAINED
+        assert read_as(HeldOut, json.loads(line)["held_out"]) == EXPLAINED
     write_folder(tmp_path / "scenes" / "two")
     (tmp_path / "scenes" / "two" / "normals.exr").write_bytes(b"")
     fit_of_all = ("decompose", tmp_path / "scenes", "--out", tmp_path / "all", "--iterations", 1)

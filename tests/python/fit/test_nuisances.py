@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import asdict, replace
 from functools import cache
 from pathlib import Path
@@ -18,6 +19,7 @@ from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.misfit import Misfit
 from pbrfit.fit.nuisances import FIELD_OF_VIEW, Nuisances, _resolved, degrees, log_tangent
 from pbrfit.fit.pixels import fit_all
+from pbrfit.io.json_files import read_as
 from pbrfit.result.camera import Camera
 from pbrfit.result.options import Response
 from pbrfit.scene.correction import Correction
@@ -201,7 +203,7 @@ def test_a_tone_curve_is_undone_where_it_is_asked_for() -> None:
         assert found.camera is not None
         assert known(found.camera.correction).numbers[0] == pytest.approx(-0.1, abs=0.03)
         assert "response" in found.assumed
-        assert Camera.from_json(asdict(found.camera)) == found.camera
+        assert read_as(Camera, json.loads(json.dumps(asdict(found.camera)))) == found.camera
         better.append(found.metrics["albedo_rmse"] / held.metrics["albedo_rmse"])
     assert np.median(better) < 0.8
 

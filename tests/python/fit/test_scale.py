@@ -12,6 +12,7 @@ from pbrfit import FitOptions, InputError, Priors, Scene, decompose
 from pbrfit.fit import scale, settings
 from pbrfit.fit.run import FitSetup
 from pbrfit.fit.tiles import fit_tiles
+from pbrfit.io.json_files import as_json, read_as
 from pbrfit.result.result import Result
 from pbrfit.synthetic import make_scene
 from scene_files import known, lights_of, truth_of
@@ -165,7 +166,7 @@ def test_what_is_no_reference_is_refused(white: object) -> None:
 def test_bounds_of_a_reference() -> None:
     assert FitOptions(white=(0, 0)).white == (0, 0, 0.9)  # type: ignore[arg-type]
     assert FitOptions(white=(0, 0, 1.0)).white == (0, 0, 1)
-    assert FitOptions.from_json(FitOptions(white=(3, 4, 0.18)).to_json()).white == (3, 4, 0.18)
+    assert read_as(FitOptions, as_json(FitOptions(white=(3, 4, 0.18)))).white == (3, 4, 0.18)
 
 
 def test_a_reference_is_in_the_picture_and_its_mask() -> None:

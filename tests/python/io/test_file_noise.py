@@ -193,8 +193,8 @@ def test_encodings_are_told_in_words(tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text("fov = 60\n", encoding="utf-8")
     scene = Scene.load(tmp_path)
     assert scene.assumed["encoding"] == (
-        "2 files 8-bit JPEG, mean quantisation step 12; "
-        "1 files 8-bit JPEG, mean quantisation step 46, chroma at 1/2 resolution"
+        "8-bit JPEG, mean quantisation step 12: 0.jpg, 1.jpg; "
+        "8-bit JPEG, mean quantisation step 46, chroma at 1/2 resolution: 2.jpg"
     )
     assert scene.noise_floor(3) is None
     assert scene.noise_floor(2) is not None

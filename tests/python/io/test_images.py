@@ -641,8 +641,7 @@ def test_pillow_reads_what_is_written(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("channels", "message"),
     [
-        ({"a": FLOAT[..., 0], "b": FLOAT[:5, :, 0]}, "expected .* as in a, found .5, 9. in b"),
-        ({"a": FLOAT}, r"expected \(H, W\) .* found \(6, 9, 3\) in a"),
+        ({"a": FLOAT[..., 0], "b": FLOAT[:5, :, 0]}, "expected 6 x 9 values in b, found 45"),
         ({}, "expected at least one channel"),
         ({"": FLOAT[..., 0]}, "expected"),
     ],

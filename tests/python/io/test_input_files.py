@@ -14,7 +14,6 @@ import pytest
 from command_runs import refused
 from pbrfit import InputError, Scene, _core
 from pbrfit.acquire.prompts import read_prompts
-from pbrfit.batch.prediction import picture_size
 from pbrfit.errors import in_one_line
 from pbrfit.io import images
 from pbrfit.io.images import read_stored
@@ -47,7 +46,7 @@ def listed_pictures(path: Path) -> object:
 
 READERS: tuple[Callable[[Path], object], ...] = (
     *(images.read_picture, images.read_data, images.read_ids, images.read_channels),
-    *(read_panorama, picture_size, digest),
+    *(read_panorama, digest),
     *(read_anything_json, read_stored, History.load, read_settings, read_prompts),
 )
 

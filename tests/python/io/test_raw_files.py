@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from pbrfit import InputError, Scene
-from pbrfit.batch.prediction import picture_size
 from pbrfit.io import images, raw_files
 from pbrfit.io.color import REC709, rgb_to_xyz
 from pbrfit.io.limits import AT_LEAST, AT_MOST
@@ -193,11 +192,6 @@ def test_else_of_the_picture_for_a_quick_look(raw: FakeRaw, tmp_path: Path) -> N
     assert images.read_picture(written(tmp_path)).taken.focal_length_35mm is None
 
 
-@pytest.mark.usefixtures("raw")
-def test_memory_is_predicted_by_the_size_of_the_sensor(tmp_path: Path) -> None:
-    assert picture_size(written(tmp_path)) == (H, W)
-
-
 @pytest.mark.parametrize(
     ("content", "options", "message"),
     [
@@ -223,9 +217,8 @@ def test_channels_that_are_none_are_refused(raw: FakeRaw, tmp_path: Path) -> Non
 
 def test_without_rawpy_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "rawpy", None)
-    for read in (images.read_picture, picture_size):
-        with pytest.raises(InputError, match=r"a.nef: .* pip install 'pbrfit\[raw\]', or develop"):
-            read(written(tmp_path))
+    with pytest.raises(InputError, match=r"a.nef: .* pip install 'pbrfit\[raw\]', or develop"):
+        images.read_picture(written(tmp_path))
 
 
 @pytest.mark.parametrize("read", [images.read_data, images.read_ids, images.read_channels])

@@ -12,7 +12,7 @@ import pytest
 
 from left_out_pictures import DECISION, EXCUSE, EXPLAINED, LAMP, SENTENCE, UNEXPLAINED
 from pbrfit import InputError, Result, decompose
-from pbrfit.io.json_files import UNFIT
+from pbrfit.io.json_files import UNFIT, read_as
 from pbrfit.result.held_out import HeldOut
 from pbrfit.synthetic import make_scene
 
@@ -73,7 +73,6 @@ def test_what_came_second_is_the_best_of_those_that_were_not_chosen() -> None:
 WRONG: list[dict[str, Any]] = [
     {"error": "small"},
     {"error": math.nan},
-    {"pictures": 0},
     {"pictures": 2.5},
     {"chosen": None},
     {"candidates": None},
@@ -85,7 +84,7 @@ WRONG: list[dict[str, Any]] = [
 @pytest.mark.parametrize("wrong", WRONG, ids=str)
 def test_other_content_is_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(UNFIT):
-        HeldOut.from_json(asdict(EXPLAINED) | wrong)
+        read_as(HeldOut, json.loads(json.dumps(asdict(EXPLAINED))) | wrong)
 
 
 @pytest.mark.parametrize("held_out", [EXPLAINED, None])
@@ -93,7 +92,7 @@ def test_a_result_keeps_it(result: Result, held_out: HeldOut | None, tmp_path: P
     replace(result, held_out=held_out).save(tmp_path / "out")
     file = tmp_path / "out" / "result.json"
     content = json.loads(file.read_text("utf-8"))
-    assert HeldOut.from_json(content["held_out"]) == held_out
+    assert read_as(HeldOut | None, content["held_out"]) == held_out
     assert result.uncertainty is not None
     assert content["verdicts"] == {
         name: one.level for name, one in result.uncertainty.verdicts.items()

@@ -13,8 +13,7 @@ import pytest
 from left_out_pictures import EXPLAINED, SENTENCE
 from page_reader import Page, decoded
 from pbrfit import DirectionalLight, InputError, Result, Scene, decompose, relight
-from pbrfit.display.notebook import PICTURES_MAX, SHOWN_MEAN
-from pbrfit.io.color import decode_srgb
+from pbrfit.display.notebook import PICTURES_MAX
 from pbrfit.result.advice import next_steps
 from pbrfit.result.verdict import MARKS, Verdict, in_short
 from pbrfit.synthetic import make_scene
@@ -104,7 +103,7 @@ def test_a_notebook_shows_a_scene_in_small(scene: Scene) -> None:
     assert {max(codes.shape) for codes in shown} == {128}
     assert np.mean(shown[0][..., 3] > 0) == pytest.approx(mask.mean(), abs=0.02)
     opaque = np.concatenate([codes[codes[..., 3] == 255][:, :3] for codes in shown]) / 255
-    assert decode_srgb(opaque).mean() == pytest.approx(SHOWN_MEAN, rel=0.1)
+    assert np.mean(opaque == 1) == pytest.approx(0.02, abs=0.01)
     for said in ("<0>", "fov: a & b", f"{30 - PICTURES_MAX} more pictures", repr(many)):
         assert said in page.text
 

@@ -12,13 +12,13 @@ import pytest
 from pbrfit import Result, Scene, decompose
 from pbrfit.result import differences
 from pbrfit.result.preview import _histogram, contact_sheet, preview
-from pbrfit.result.sheet import FONT, MARGIN, PANEL_SIDE, Panel, Row, caption_height, sheet
+from pbrfit.result.sheet import FONT, MARGIN, PANEL_SIDE, Panel, Row, sheet
 from pbrfit.result.verdict import LEVELS, MARKS, PARAMETERS, Verdict
 from pbrfit.synthetic import make_scene
 from refined import degrees_of, refined
 from scene_files import known
 
-LINE = caption_height(PANEL_SIDE[0])
+LINE = round(1.6 * FONT[0])
 TITLE = round(1.5 * LINE)
 SIZES = [(1, 1), (1, 24), (24, 1), (7, 24), (24, 24)]
 

@@ -17,6 +17,7 @@ from page_reader import Element, Page
 from pbrfit import Materials, Result, decompose
 from pbrfit.commands.terminal import verdict_lines
 from pbrfit.fit import compare
+from pbrfit.io.json_files import read_as
 from pbrfit.report import write_report
 from pbrfit.report.verdict import how_to_read
 from pbrfit.result import preview, verdict
@@ -157,7 +158,7 @@ def test_verdicts_are_saved_and_read_again(result: Result, tmp_path: Path) -> No
     for wrong in ({"level": "good"}, {"expected_error": "small"}, {"cause": None}):
         changed = content["uncertainty"]["verdicts"]["albedo"] | wrong
         with pytest.raises((ValueError, TypeError)):
-            Verdict.from_json(changed)
+            read_as(Verdict, changed)
     for level, error in (("usable", 1.1), ("usable", 0.09), ("rough guide", 0.3)):
         changed |= {"level": level, "expected_error": error, "cause": ""}
         with pytest.raises(ValueError, match="in place of"):

@@ -125,7 +125,7 @@ def test_a_result_reads_the_named_pictures_again_as_they_were_read(tmp_path: Pat
     assert result.mask.shape == (8, 12)
     page = tmp_path / "page.html"
     write_report(result, page)
-    assert "no longer where it was" not in page.read_text("utf-8")
+    assert "is gone, has changed" not in page.read_text("utf-8")
     assert "changed since" not in page.read_text("utf-8")
     assert '"kept"' in done("decompose", *pictures, "--out", out, *few, "--resume", "--json")
 

@@ -43,8 +43,6 @@ class Flux2Klein:
     _: KW_ONLY
     model: str = MODEL
     """Name on the Hugging Face Hub, or a local folder as `save_pretrained` leaves it."""
-    revision: str | None = None
-    """Branch, tag or commit on the Hub."""
     guidance: float = 5.0
     """g above; at 1 or less there is no v₋, and so no negative prompt."""
     steps: int = 50
@@ -71,7 +69,7 @@ class Flux2Klein:
 
         Devices differ in rounding, and so in details; records say where each picture was made.
         """
-        names = ("model", "revision", "guidance", "steps", "dtype")
+        names = ("model", "guidance", "steps", "dtype")
         return {name: getattr(self, name) for name in names}
 
     def check(self) -> None:
@@ -168,9 +166,7 @@ class Flux2Klein:
         return weights.Loaded(pipeline, record)
 
     def _load(self, loader: Callable[..., Any]) -> weights.Loaded:
-        return weights.load(
-            KIND, self.model, loader=loader, marker="model_index.json", revision=self.revision
-        )
+        return weights.load(KIND, self.model, loader=loader, marker="model_index.json")
 
     @cached_property
     def _placement(self) -> weights.Placement:

@@ -6,14 +6,12 @@ import os
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from pbrfit._core import InputError
 from pbrfit.acquire.generators import Generated, Request
 from pbrfit.acquire.padding import resized
 from pbrfit.acquire.photo import LEAST_SIDE, Photo, exposure_of
 from pbrfit.acquire.prompts import Catalogue
-from pbrfit.display.tone import encoded
+from pbrfit.display.tone import codes, encoded
 from pbrfit.io import images
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.input_files import digest
@@ -91,9 +89,8 @@ class Folder:
         pixels = resized(picture.pixels, photo.size)
         # A float file's white is anywhere; the light of each picture takes up its exposure.
         exposure = exposure_of(path, pixels) if picture.stored is None else 0.0
-        shown = encoded(pixels, exposure)
         return Generated(
-            pixels=np.asarray(np.rint(255 * shown), dtype=np.uint8),
+            pixels=codes(encoded(pixels, exposure)),
             record={
                 "file": path.name,
                 "sha256": picture.sha256,

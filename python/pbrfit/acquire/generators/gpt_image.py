@@ -1,22 +1,17 @@
 """GPT-Image-2 through OpenAI's client: the photo is sent to OpenAI, and every picture costs money.
 
 The key comes from the environment and is kept nowhere else: not in settings, not in records, not in
-messages. An answer is bounded before it is held, and leads neither photo nor key elsewhere. Facts
-about the API are of OpenAI's image generation guide and of the client's own documentation (openai
-3.52).
+messages. An answer leads neither photo nor key elsewhere. Facts about the API are of OpenAI's image
+generation guide and of the client's own documentation (openai 3.52).
 """
 
 from __future__ import annotations
 
 import base64
-import importlib
-import json
 import os
 import time
-import zlib
-from contextlib import closing
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NoReturn
 from urllib.parse import urlsplit
 
@@ -31,7 +26,7 @@ from pbrfit.acquire.prompts import Catalogue
 from pbrfit.acquire.received import read_srgb8
 from pbrfit.acquire.weights import need
 from pbrfit.io import images
-from pbrfit.io.json_files import UNFIT, table, text, whole
+from pbrfit.io.checks import one_of
 from pbrfit.io.quoting import listed, shown
 
 if TYPE_CHECKING:
@@ -45,24 +40,9 @@ ADDRESS = "OPENAI_BASE_URL"
 
 QUALITIES = ("low", "medium", "high", "auto")
 
-MOST_BYTES = 2**27
-"""Length of an answer, as sent and unpacked. The largest picture of the service, 3840 × 2160 of 16
-bits a channel, takes 71 MB in base64 where nothing can be compressed."""
-
-GZIP = b"\x1f\x8b"
-"""How what gzip made begins."""
-
-MOST_BYTES_OF_FAILURE = 2**16
-"""Length of what is read where the service says that it failed."""
-
 SAME_SHAPE = 0.01
 """A picture of another size whose sides are in the proportion that was asked for, up to this, is
 scaled. Services that stand in for OpenAI's may round sizes their own way."""
-
-TOTALS = ("input_tokens", "output_tokens", "total_tokens")
-DETAILS = ("input_tokens_details", "output_tokens_details")
-KINDS = ("text_tokens", "image_tokens")
-"""Counts in an answer's usage, and those in its details."""
 
 
 @dataclass(frozen=True)
@@ -86,10 +66,7 @@ class GptImage:
     retries = True
 
     def __post_init__(self) -> None:
-        if self.quality not in QUALITIES:
-            raise InputError(
-                f"quality: expected one of {', '.join(QUALITIES)}, found {self.quality!r}"
-            )
+        one_of("quality", self.quality, QUALITIES)
 
     def settings(self) -> dict[str, Any]:
         """What decides about the pictures."""
@@ -128,7 +105,7 @@ class GptImage:
             prompt += f"\n\nAvoid: {request.negative.rstrip('. ')}."
         start = time.monotonic()
         try:
-            answer = self._client.images.with_raw_response.edit(
+            answer = self._client.images.edit(
                 model=self.model,
                 image=("photo.png", sent, "image/png"),
                 prompt=prompt,
@@ -138,10 +115,10 @@ class GptImage:
             )
         except openai.OpenAIError as error:
             self._explain(error)
+        except ValueError as error:  # of an answer that is no JSON
+            raise self._without_picture(error) from None
         seconds = time.monotonic() - start
-        content = self._content(answer.http_response.content)
-        pixels, given = self._picture(content, around)
-        quality = content.get("quality")
+        pixels, given = self._picture(answer, around)
         return Generated(
             pixels=pixels,
             record={
@@ -150,9 +127,9 @@ class GptImage:
                 "seed": None,  # the API takes none
                 "size": [width, height],
                 "size_given": given,
-                "quality": quality if quality in QUALITIES else self.quality,
+                "quality": answer.quality if answer.quality in QUALITIES else self.quality,
                 "seconds": round(seconds, 3),
-                "usage": _usage(content.get("usage")),
+                "usage": answer.usage and answer.usage.to_dict(exclude_none=True),
             },
         )
 
@@ -174,11 +151,7 @@ class GptImage:
             api_key=key,
             max_retries=self.max_retries,
             timeout=self.timeout,
-            default_headers={"Accept-Encoding": "identity"},
-            http_client=openai.DefaultHttpxClient(
-                follow_redirects=False,
-                event_hooks={"response": [partial(_bound, seconds=self.timeout)]},
-            ),
+            http_client=openai.DefaultHttpxClient(follow_redirects=False),
         )
 
     @property
@@ -187,33 +160,12 @@ class GptImage:
         parts = urlsplit(str(self._client.base_url))
         return f"{parts.hostname}:{parts.port}" if parts.port else str(parts.hostname)
 
-    def _content(self, body: bytes) -> dict[str, Any]:
-        """The JSON object that an answer is."""
-        try:
-            return table(json.loads(_unpacked(body)))
-        except (zlib.error, *UNFIT) as error:
-            raise InputError(
-                f"{self._service}: expected a picture, found an answer that is no JSON object: "
-                f"{shown(error)}"
-            ) from None
-
-    def _picture(
-        self, content: dict[str, Any], around: Frame
-    ) -> tuple[NDArray[np.uint8], list[int]]:
+    def _picture(self, answer: Any, around: Frame) -> tuple[NDArray[np.uint8], list[int]]:
         """The picture in an answer at the photo's size, and the (width, height) it came in."""
         try:
-            encoded = text(content["data"][0]["b64_json"])
-        except (IndexError, *UNFIT):
-            raise InputError(
-                f"{self._service}: expected a picture, found an answer without one"
-            ) from None
-        try:
-            pixels = read_srgb8(base64.b64decode(encoded, validate=True))
-        except ValueError as error:
-            raise InputError(
-                f"{self._service}: expected a picture, found an answer with one that cannot be "
-                f"read: {shown(error)}"
-            ) from None
+            pixels = read_srgb8(base64.b64decode(answer.data[0].b64_json, validate=True))
+        except (AttributeError, LookupError, TypeError, ValueError) as error:
+            raise self._without_picture(error) from None
         height, width = pixels.shape[:2]
         if (height, width) != around.padded:
             asked = around.padded
@@ -224,6 +176,10 @@ class GptImage:
                 )
             pixels = resized_srgb8(pixels, asked)
         return around.from_model(pixels), [width, height]
+
+    def _without_picture(self, error: Exception) -> InputError:
+        found = f"found an answer without one that can be read: {shown(error)}"
+        return InputError(f"{self._service}: expected a picture, {found}")
 
     def _explain(self, error: openai.OpenAIError) -> NoReturn:
         """Say what went wrong; the chain of errors, which holds the request, is cut off."""
@@ -260,39 +216,6 @@ class GptImage:
         raise InputError(f"{self._service}: expected a picture, found {problem}") from None
 
 
-def _bound(response: Any, seconds: float) -> None:
-    """Hold so much of an answer and no more, packed as it came: what reads it knows no bound.
-
-    Its body has to come within so many seconds: the client's own bound is for each read.
-    """
-    # Clients were made of httpx, and are of httpx2.
-    http = importlib.import_module(type(response).__module__.partition(".")[0])
-    most = MOST_BYTES if response.is_success else MOST_BYTES_OF_FAILURE
-    body, began = bytearray(), time.monotonic()
-    with closing(response.stream) as stream:
-        for chunk in stream:
-            body += chunk
-            if len(body) > most:
-                break
-            if time.monotonic() - began > seconds:
-                raise http.ReadTimeout(f"{seconds:g} s", request=response.request)
-    response.headers.pop("Content-Encoding", None)
-    response.stream = http.ByteStream(bytes(body[: most + 1]))
-
-
-def _unpacked(body: bytes) -> bytes:
-    """The body of an answer without the compression that a service used unasked.
-
-    Raises ValueError if it is longer than `MOST_BYTES`; zlib.error if it is damaged.
-    """
-    unpacked = body
-    if body.startswith(GZIP):
-        unpacked = zlib.decompressobj(wbits=31).decompress(body, MOST_BYTES + 1)
-    if max(len(body), len(unpacked)) > MOST_BYTES:
-        raise ValueError(f"more than {MOST_BYTES >> 20} MiB")
-    return unpacked
-
-
 def _check_address(address: str) -> None:
     """Refuse what is no web address; the message does not show it, for it may hold a password."""
     try:
@@ -302,20 +225,6 @@ def _check_address(address: str) -> None:
         sound = False
     if not sound:
         raise InputError(f"{ADDRESS}: expected http:// or https:// and a host, found neither")
-
-
-def _usage(told: object) -> dict[str, Any] | None:
-    """Counts of tokens by the service's names; None where they are no counts."""
-    try:
-        counts = {key: n for key, n in table(told).items() if n is not None}
-        usage: dict[str, Any] = {key: whole(counts[key]) for key in TOTALS if key in counts}
-        for name in DETAILS:
-            if name in counts:
-                kinds = table(counts[name])
-                usage[name] = {k: whole(kinds[k]) for k in KINDS if kinds.get(k) is not None}
-    except UNFIT:
-        return None
-    return usage
 
 
 def _refusal(body: object, said: str) -> str:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image
 
-from pbrfit.display.tone import encoded
+from pbrfit.display.tone import codes, encoded
 from pbrfit.report import budget
 from pbrfit.report.html import address
 from pbrfit.report.raster import LOSSLESS_SIDE, QUALITY, picture_png, reduced
@@ -47,21 +47,18 @@ def of_scene(scene: Scene, whites: Sequence[float], limit: float) -> list[Tile]:
         if max(shown.shape) <= LOSSLESS_SIDE:
             return Tile(address(picture_png(shown)), exposure, original=True)
         # A JPEG, whose colours have all their pixels: it is compared with what is rendered.
-        codes = np.rint(255 * shown).astype(np.uint8)
         buffer = io.BytesIO()
-        Image.fromarray(codes).save(buffer, "JPEG", quality=QUALITY, subsampling=0)
+        Image.fromarray(codes(shown)).save(buffer, "JPEG", quality=QUALITY, subsampling=0)
         return Tile(address(buffer.getvalue()), exposure, original=True)
 
-    sides = budget.sides_for(max(scene.valid.shape), SIDES)
     # One picture out of the middle tells how large all will be.
-    middle = len(scene.images) // 2
-    best = budget.largest_that_fits(
-        lambda side: tile(middle, side),
-        lambda one: len(one.address) * len(scene.images),
-        sides,
-        limit,
+    count = len(scene.images)
+    _, (side, _) = budget.largest_that_fits(
+        lambda choice: tile(count // 2, choice[0]).address,
+        [one for one in budget.choices(max(scene.valid.shape), SIDES) if one[1]],
+        limit / count,
     )
-    return in_pieces(0, lambda i: tile(i, best.side), range(len(scene.images)))
+    return in_pieces(0, lambda i: tile(i, side), range(count))
 
 
 def of_lights(lighting: Lighting) -> list[Tile]:
