@@ -97,14 +97,6 @@ def test_loss_and_gradient_are_those_of_the_slow_model(kind: Surroundings, pictu
 
 
 @every_kind
-def test_residuals_are_those_of_the_slow_model(kind: Surroundings) -> None:
-    example = example_of(kind)
-    found = example.problem().residuals(example.x(), SOME)
-    expected = (example.radiance(example.truth) - example.targets)[SOME].swapaxes(0, 1)
-    close(found, expected, 1e-7)
-
-
-@every_kind
 @any_number
 def test_slopes_are_those_of_differences(kind: Surroundings, pictures: int) -> None:
     """By every unknown, in float64: Σ ω (I − T)² of each pixel against its gradient."""
@@ -187,25 +179,6 @@ def test_planted_materials_are_found_from_nothing(kind: Surroundings) -> None:
             np.testing.assert_allclose(squares, example.squares(found), rtol=0, atol=1e-20)
 
 
-@every_kind
-def test_fitted_materials_leave_what_the_slow_model_says(kind: Surroundings) -> None:
-    example = example_of(kind)
-    nodes = np.linspace(0.05, 1, 8), np.linspace(0, 1, 4)
-    for exact_steps in (3, 0):
-        found, squares = example.problem().fit_materials(
-            example.x(), example.everything, *nodes, starts=2, steps=30, exact_steps=exact_steps
-        )
-        share = 1e-11 if exact_steps else 1e-5
-        np.testing.assert_allclose(squares, example.squares(found), rtol=share)
-        assert (squares <= example.squares(example.unknowns(example.truth)) * (1 + 1e-5)).all()
-        # At a minimum: no slope where no bound is; but for pixels that hardly tell anything.
-        x = np.concatenate([found.T.ravel(), example.x()[found.size :]])
-        matrices, gradient, _ = example.problem().normal_equations(x, example.everything)
-        scale = np.sqrt(np.einsum("pii->pi", matrices) * squares[:, None])
-        inner = (found > 1e-6) & (found < 1 - 1e-6)
-        assert np.median(np.abs(gradient[inner]) / scale[inner]) < 1e-6
-
-
 @dataclass(frozen=True)
 class SystemAmong(System):
     """A `System` with surroundings."""
@@ -264,14 +237,3 @@ def test_pictures_are_those_of_the_slow_model(model: str, bounce: bool) -> None:
         bounced=example.given_bounced(),
     )
     close(found.swapaxes(0, 1), example.radiance(example.truth), 1e-12)
-
-
-def test_the_rows_of_the_open_sky_change_rounding_alone() -> None:
-    for model in MODELS:
-        example = Among(Surroundings(model=model, bounce=False), PIXELS, 5, noise=0.2)
-        rows = open_rows(example.given, example.views, model)
-        among, without = example.problem(transfer=rows), example.problem(transfer=None)
-        for a, b in zip(
-            among.value_and_grad(example.x()), without.value_and_grad(example.x()), strict=True
-        ):
-            close(np.asarray(a), np.asarray(b), 1e-6)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from pbrfit import Objective, Scene, decompose
 from pbrfit.model.reflection import MODELS, Model
@@ -15,7 +13,6 @@ from pbrfit.result.verdict import ROUGH_MAX
 from pbrfit.synthetic import make_scene
 from scene_files import known, truth_of
 from scene_kinds import all_pixels, known_lights
-from tiled import in_tiles
 
 pytestmark = pytest.mark.usefixtures("uncompared")
 
@@ -101,32 +98,3 @@ def test_deviations_are_of_the_size_of_the_errors(model: Model) -> None:
     # Samples are used thrice, so deviations are √3 times those by noise alone.
     # 0.455: the median of a normal's square
     assert 0.5 / np.sqrt(3) < np.sqrt(np.median(off**2) / 0.455) < 2
-
-
-@pytest.mark.slow
-def test_wrong_normals_are_refined() -> None:
-    scene = room("principled", size=16, noise=0.001)
-    rows, columns = np.mgrid[:16, :16] / 16 * 2 * np.pi
-    off = 0.15 * np.stack([np.sin(rows), np.cos(columns), np.zeros_like(rows)], axis=-1)
-    normals = scene.normals + off
-    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    given = dataclasses.replace(scene, normals=normals)
-    result = decompose(given, refine_normals="on", uncertainty=False, iterations=60)
-
-    def degrees(found: NDArray[np.float64]) -> float:
-        cosines = np.clip(np.sum(found * scene.normals, axis=-1), -1, 1)
-        return float(np.degrees(np.median(np.arccos(cosines))))
-
-    assert result.refinement.refined
-    assert degrees(result.normals) < 0.5 * degrees(normals)
-
-
-@pytest.mark.slow
-def test_tiles_find_what_the_whole_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = room("principled", size=20)
-    whole = decompose(scene, refine_normals="off", priors=None, uncertainty=False)
-    in_tiles(monkeypatch, side=14, subset=100)
-    tiled = decompose(scene, refine_normals="off", priors=None, uncertainty=False)
-    assert "tiles" in tiled.stages[-1].name
-    for name in ("albedo", "roughness", "metallic"):
-        np.testing.assert_allclose(getattr(tiled, name), getattr(whole, name), atol=1e-4)

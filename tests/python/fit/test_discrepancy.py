@@ -95,13 +95,3 @@ def test_pixels_that_share_an_error_leave_more_to_the_prior() -> None:
     assert posterior.Pooling(channels=1).prior_pixels(10) == 3 * posterior.Pooling().prior_pixels(
         10
     )
-
-
-def test_intervals_hold_what_they_say() -> None:
-    share = np.array([[0.02, 0.02, 0.92, 0.02, 0.02]], np.float32)
-    values = np.linspace(0, 1, 5)
-    low, high = posterior._interval(share, values, 0.0)
-    assert (low[0], high[0]) == (0.25, 0.75)
-    two = np.array([[0.9, 0.0, 0.0, 0.0, 0.1]], np.float32)
-    low, high = posterior._interval(two, values, 0.0)
-    assert (low[0], high[0]) == (0.0, 1.0)  # both modes, each likely enough

@@ -58,20 +58,6 @@ def test_the_start_has_the_given_normals(options: dict[str, Any]) -> None:
     np.testing.assert_allclose(found.roughness, materials.roughness, rtol=0, atol=1e-12)
 
 
-def test_normals_are_the_given_ones_at_their_tangent_offsets() -> None:
-    scene = room()
-    objective = Objective(scene, free_normals=True)
-    x = objective.start()
-    offsets = np.random.default_rng(0).normal(size=(2, objective.pixels))
-    x[objective.tangent_offsets] = offsets.ravel()
-    given = np.asarray(scene.normals, dtype=np.float64)[scene.valid]
-    expected = reference.turned(given, offsets)
-    expected /= np.linalg.norm(expected, axis=-1, keepdims=True)
-    np.testing.assert_allclose(objective.normals(x), expected, rtol=0, atol=1e-6)
-    core = objective.problem.normals(x[objective.layout.maps])
-    np.testing.assert_allclose(np.linalg.norm(core, axis=-1), 1, rtol=0, atol=1e-15)
-
-
 def test_the_tangent_offsets_to_the_true_normals_explain_the_pictures() -> None:
     scene = room()
     rng = np.random.default_rng(1)

@@ -128,16 +128,6 @@ def test_whenever_time_is_up_little_is_done_from_there_on(
     assert max(done.values()) <= passes < undisturbed.done / SIZE**2 / 3, done
 
 
-@pytest.mark.parametrize("looks", range(3, 6))
-def test_lbfgsb_ends_before_an_evaluation_or_after_an_iteration(
-    looks: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    Clock(monkeypatch, looks)
-    result = fit(**CONFIGURATIONS["lbfgsb"])
-    assert result.status is Status.TIME_LIMIT
-    assert_whole(result)
-
-
 @pytest.mark.parametrize("looks", [0, 1, 6])
 def test_a_limit_while_lights_are_sought_leaves_all_pixels_fitted_under_them(
     looks: int, monkeypatch: pytest.MonkeyPatch
@@ -155,20 +145,6 @@ def test_a_limit_while_lights_are_sought_leaves_all_pixels_fitted_under_them(
     assert result.history.iterations == 1
     start, end = result.history["recon_rmse"][[0, -1]]
     assert end < 0.8 * start
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("solver", SOLVERS)
-@pytest.mark.parametrize("refine_normals", ["off", "on"])
-@pytest.mark.parametrize("iterations", [0, 1, 2])
-def test_few_iterations_are_no_more(solver: Solver, refine_normals: Any, iterations: int) -> None:
-    result = fit(solver=solver, refine_normals=refine_normals, iterations=iterations)
-    assert_whole(result)
-    most = result.history["iteration"].max()
-    # Each pass over the normals may have all iterations again (docs/fit.md).
-    assert most <= iterations * (1 + 2 * (refine_normals != "off"))
-    if iterations == 0:
-        assert result.status is Status.ITERATION_LIMIT
 
 
 @pytest.mark.parametrize("solver", SOLVERS)

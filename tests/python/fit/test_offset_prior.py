@@ -63,13 +63,6 @@ def test_beside_the_others_a_pixel_has_a_gaussian_prior(prior: TangentOffsetPrio
         np.testing.assert_allclose(np.diff(costs), np.diff(penalty), rtol=1e-9, atol=1e-9)
 
 
-def test_a_turn_that_all_normals_have_in_common_costs_next_to_nothing() -> None:
-    prior = TangentOffsetPrior(around(np.arange(100).reshape(10, 10)), sigma=np.radians(3.0))
-    common = np.tile(np.radians([10.0, -5.0]), (100, 1))
-    scattered = common * np.random.default_rng(0).choice([-1, 1], size=(100, 1))
-    assert 300 * cost_of(prior, common, 1.0) < cost_of(prior, scattered, 1.0)
-
-
 def chain(steps: Array) -> tuple[NDArray[np.intp], Array]:
     """A picture of one row whose neighbours differ by `steps` (P − 1, 2)."""
     return np.arange(len(steps) + 1)[None], np.concatenate([np.zeros((1, 2)), steps.cumsum(axis=0)])
@@ -134,16 +127,6 @@ def test_steps_at_a_few_outlines_hardly_widen_sigma() -> None:
 def test_sigma_stays_within_its_limits(degrees: float, expected: float) -> None:
     index, offsets = chain(np.radians(degrees) * np.random.default_rng(7).normal(size=(200, 2)))
     assert settled(TangentOffsetPrior(around(index)), offsets, np.zeros(201)).sigma == expected
-
-
-def test_pixels_without_neighbours_tell_nothing_of_sigma() -> None:
-    index = np.array([[0, -1, 1], [-1, 2, -1]])
-    prior = TangentOffsetPrior(around(index), sigma=0.11)
-    assert len(prior.neighbourhood.pairs) == 0
-    offsets = np.ones((3, 2))
-    assert prior.fitted(offsets, np.ones(3)).sigma == 0.11
-    np.testing.assert_array_equal(prior.conditional(offsets, 1.0)[0], 0)
-    assert (prior.conditional(offsets, 1.0)[1] > 0).all()
 
 
 def test_neighbours_across_an_edge_need_not_be_alike() -> None:

@@ -129,21 +129,6 @@ def test_true_normals_are_kept_and_change_nothing() -> None:
     )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("options", [{}, {"noise": 0.01}, {"mono_light": True}], ids=str)
-def test_the_number_of_threads_changes_no_bit(options: dict[str, Any]) -> None:
-    options = dict(options)
-    scene = wrong(right(16, noise=options.pop("noise", 0.0)))
-    results = [
-        decompose(scene, refine_normals="on", iterations=40, threads=threads, **options)
-        for threads in (1, 2, 3)
-    ]
-    assert results[0].refinement.refined
-    for other in results[1:]:
-        same(results[0], other)
-        assert other.refinement == results[0].refinement
-
-
 @pytest.mark.usefixtures("uncompared")
 @pytest.mark.parametrize(
     "options",

@@ -14,9 +14,8 @@ import pbrfit
 from pbrfit.cli import main
 from pbrfit.fit import memory, settings
 from pbrfit.fit.run import Progress
-from pbrfit.fit.settings import TILES_SUBSET_PIXELS_MAX, WHOLE_PIXELS_MAX
+from pbrfit.fit.settings import WHOLE_PIXELS_MAX
 from pbrfit.fit.tiles.fit import ending
-from pbrfit.fit.tiles.windows import strided_window, tiles
 from pbrfit.result.data import Status
 from pbrfit.synthetic import make_scene
 from scene_files import known, truth_of
@@ -46,47 +45,6 @@ def nine_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def held(scene: pbrfit.Scene, **options: Any) -> pbrfit.Result:
     return pbrfit.decompose(scene, refine_normals="off", **options)
-
-
-class TestCutting:
-    @pytest.mark.parametrize(
-        ("shape", "striped", "wanted"),
-        [
-            ((1000, 1500), slice(None), (48_000, 60_000)),
-            # Rows that a window of every fourth row would all miss, or all hit.
-            ((4096, 4096), slice(None, None, 8), (1 << 12, 1 << 17)),
-            ((1024, 1024), slice(4, None, 8), (1 << 10, 5 * 2048)),
-        ],
-        ids=["all", "missed", "hit"],
-    )
-    def test_a_subset_has_about_as_many_pixels_as_asked_for(
-        self, shape: tuple[int, int], striped: slice, wanted: tuple[int, int]
-    ) -> None:
-        valid = np.zeros(shape, bool)
-        valid[striped] = True
-        at_least, at_most = wanted
-        found = np.count_nonzero(strided_window(valid, at_most).of(valid))
-        assert at_least <= found <= 1.25 * at_most
-
-    def test_a_small_picture_is_its_own_subset(self) -> None:
-        valid = np.ones((30, 40), bool)
-        assert strided_window(valid, TILES_SUBSET_PIXELS_MAX).of(valid).shape == (30, 40)
-
-    @pytest.mark.parametrize("margin", [0, 7])
-    def test_tiles_cover_each_pixel_once(self, margin: int) -> None:
-        valid = np.ones((100, 71), bool)
-        times = np.zeros(valid.shape, int)
-        for tile in tiles(valid, margin, 30):
-            outer = np.arange(valid.size).reshape(valid.shape)[tile.outer.rows, tile.outer.columns]
-            inner = np.arange(valid.size).reshape(valid.shape)[tile.inner.rows, tile.inner.columns]
-            np.testing.assert_array_equal(tile.inside.of(outer), inner)
-            tile.inner.of(times)[...] += 1
-        assert (times == 1).all()
-
-    def test_tiles_without_valid_pixels_are_left_out(self) -> None:
-        valid = np.zeros((90, 90), bool)
-        valid[:30] = True
-        assert len(list(tiles(valid, 2, 30))) == 3
 
 
 @pytest.mark.usefixtures("nine_tiles")
@@ -201,16 +159,6 @@ class TestFit:
         for given in (start, (start, truth_of(noisy).lighting)):
             with pytest.raises(pbrfit.InputError, match=message):
                 held(noisy, start=given)
-
-    @pytest.mark.slow
-    def test_passes_over_a_tile_count_by_its_pixels(
-        self, noisy: pbrfit.Scene, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        def evaluations(side: int) -> int:
-            in_tiles(monkeypatch, **NINE | {"side": side})
-            return held(noisy, uncertainty=False, iterations=20).evaluations
-
-        assert evaluations(24) < 2 * evaluations(200)  # sixteen tiles, and one
 
     @pytest.mark.parametrize(
         ("of_subset", "of_tiles", "status", "reason"),
@@ -351,12 +299,6 @@ class TestWhenTilesAreUsed:
         assert without.tiled
         assert not without.refine_normals
         assert "are available" in known(without.hindered)
-
-    def test_and_where_nothing_fits_it_is_said(self, available: list[int | None]) -> None:
-        available[0] = 1000
-        plan = self.plan(2 * WHOLE_PIXELS_MAX)
-        with pytest.raises(pbrfit.InputError, match=r"expected .* of memory to be available"):
-            memory.check("gauss-newton", plan.needed)
 
     def test_eight_megapixels_with_16_pictures_take_less_than_8_gib(self) -> None:
         scene = make_scene("room", size=8, lights=16, held_out=1)
