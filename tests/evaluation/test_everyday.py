@@ -80,28 +80,6 @@ def test_what_is_not_disturbed_is_the_reference(disturbance: Any, noise: Scene) 
             assert changed.mean() == pytest.approx(0.002, rel=0.1)
 
 
-def test_bad_pictures(noise: Scene) -> None:
-    before = noise.images[BAD_PICTURE]
-    moved = made("shifted").images[BAD_PICTURE]
-    np.testing.assert_array_equal(moved[:, 2:], before[:, :-2])
-    np.testing.assert_array_equal(moved[:, :2], before[:, [0, 0]])
-    black = made("black").images
-    assert np.abs(black[BAD_PICTURE].mean()) < NOISE
-    assert black[BAD_PICTURE].std() == pytest.approx(NOISE, rel=0.1)
-    np.testing.assert_array_equal(black[others()], noise.images[others()])
-
-
-def test_gamma_keeps_white_and_vignetting_takes_30_percent_of_the_corners(noise: Scene) -> None:
-    white = np.quantile(noise.images, disturbances.UNCLIPPED)
-    bright = noise.images > 0.01
-    ratio = np.log(made("gamma").images[bright] / white)
-    np.testing.assert_allclose(ratio, 1.1 * np.log(noise.images[bright] / white), atol=1e-5)
-    even = disturbances.vignetted(np.ones((1, 101, 201, 3)))
-    assert even[0, 50, 100] == pytest.approx(1)
-    assert even[0, 0, 0] == pytest.approx(0.7, abs=0.01)
-    np.testing.assert_allclose(even, even[:, ::-1, ::-1])
-
-
 def test_a_grey_scene_is_grey_and_its_truth_explains_it(clean: Scene) -> None:
     grey, truth = made("grey"), truth_of(made("grey"))
     lit = render(truth.materials, grey.normals, known(truth.lighting), 60, model="paper")
@@ -133,13 +111,6 @@ def test_a_jpeg_has_a_twin_with_noise_of_its_rms(said: Any) -> None:
     assert of_white.std() == pytest.approx(np.sqrt(np.mean(of_jpeg**2)), rel=0.02)
     assert white.images.dtype == np.float32
     assert white.limits is None
-
-
-def test_views_are_90_degrees_wide_whatever_is_said() -> None:
-    true, wrong = made("fov-true"), made("fov-wrong")
-    assert (true.fov, wrong.fov) == (90, 60)
-    np.testing.assert_array_equal(true.images, wrong.images)
-    assert not made("fov-unknown").fov_known
 
 
 def test_the_scale_is_that_of_albedo(clean: Scene) -> None:

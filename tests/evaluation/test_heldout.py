@@ -21,28 +21,25 @@ from pbrfit.io import images
 from pbrfit.io.color import decode_srgb, encode_srgb
 from pbrfit.model.geometry import angles_between
 from pbrfit.model.materials import Materials
-from pbrfit.model.reflection import render_directional
 from pbrfit.scene.correction import Correction
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.diligent import figures as diligent
 from pbrfit_evaluation.heldout import figures, light, measure, sources
-from pbrfit_evaluation.heldout.baselines import Baseline, explained_by_kept, known_lamps
+from pbrfit_evaluation.heldout.baselines import Baseline, explained_by_kept
 from pbrfit_evaluation.heldout.light import (
-    ambient_terms,
     combination,
     explained_by,
     relative_error,
 )
 from pbrfit_evaluation.heldout.measure import Split, Task, Way, split
-from pbrfit_evaluation.heldout.public_sets import SETS, Source, sphere_normals
+from pbrfit_evaluation.heldout.public_sets import SETS, Source
 from pbrfit_evaluation.normal_errors import unit
 from scene_files import known, run, truth_of
 
 Array = NDArray[np.float64]
 
 SIZE, LAMPS = 20, 8
-EVERY = np.ones((SIZE, SIZE), bool)
 
 
 def lamps() -> Array:
@@ -124,15 +121,6 @@ def test_light_is_best_in_values_of_the_file() -> None:
     assert least == pytest.approx(((tried - of.values) ** 2).sum(1).min(0).sum(), rel=1e-3)
 
 
-def test_curve_undoes_what_a_fit_corrected(tmp_path: Path) -> None:
-    [source] = sources.find_sources(write_set(tmp_path / "bump", "MIT"))
-    scene = sources.opened(source, SIZE).scene
-    seen = scene.through(40.0, Correction(0.3, (0.2, -0.1, 0.15)))
-    of = light.target(seen, 2, EVERY, light.curve_of(seen))
-    assert np.abs(of.radiance - scene.images[2].reshape(-1, 3)).max() > 0.05
-    np.testing.assert_allclose(of.shown(of.radiance), of.values, rtol=1e-4)
-
-
 def test_true_materials_explain_pictures(room: Scene) -> None:
     assert relative_error(explained_by(stand_in(room), room, (1, 4))) < 1e-5
     wrong = stand_in(room, model="principled")
@@ -150,20 +138,6 @@ def test_pictures_are_judged_by_the_curve_that_a_fit_chose(room: Scene) -> None:
     ]
     assert errors[0] > 0.02
     assert errors[1] < 1e-5
-
-
-def test_light_is_of_the_kind_that_a_result_has(room: Scene) -> None:
-    maps = stand_in(room).materials
-    toward = unit(np.array([0.3, 0.2, 0.9]))
-    picture = render_directional(maps, room.normals, toward, np.full(3, 0.4), room.fov)
-    lit = replace(room, images=np.stack([picture, picture]), truth=None, names=())
-    under = stand_in(room, lamps="some", lighting=np.zeros((2, 16, 3)))
-    assert ambient_terms(under) == 0
-    assert ambient_terms(stand_in(room)) == 1
-    own = relative_error(explained_by(under, lit, (0,)))
-    lamp = relative_error(explained_by(stand_in(room), lit, (0,), "lamp"))
-    around = relative_error(explained_by(stand_in(room), lit, (0,)))
-    assert max(own, lamp) < 0.02 < around
 
 
 @pytest.mark.parametrize("linear", [False, True])
@@ -185,33 +159,6 @@ def test_matt_pictures_are_explained_however_their_files_are_encoded(
     exact = ("lambert", "lambert-known", "lambert-trimmed", "sum", "ptm")
     assert max(errors[way] for way in exact) < 1e-3
     assert max(errors["hsh"], errors["pca"]) < errors["nearest"] < 0.5
-
-
-@pytest.mark.parametrize("trim", [False, True])
-def test_samples_without_weight_and_black_pixels_tell_no_normal(trim: bool) -> None:
-    strengths = np.linspace(0.6, 1.1, LAMPS)[:, None, None]
-    samples, weights = matt().reshape(LAMPS, -1, 3) / strengths, np.ones((LAMPS, SIZE**2, 3))
-    samples[2, 1], weights[2, 1] = 50.0, 0.0
-    samples[:, 5] = 0
-    samples[0, 7], samples[3, 7] = 9.0, 0.0  # a highlight, a cast shadow
-    normals, albedo = known_lamps(samples, weights, lamps(), trim=trim)
-    expected = cap().reshape(-1, 3)
-    expected[5] = 0, 0, 1
-    others = np.arange(SIZE**2) != 7
-    np.testing.assert_allclose(normals[others], expected[others], atol=1e-6)
-    np.testing.assert_array_equal(albedo[5], 0)
-    assert (float(angles_between(normals[7], expected[7])) < 1e-3) == trim
-
-
-def test_sphere_normals() -> None:
-    y, x = np.indices((60, 80))
-    disc = (x - 40) ** 2 + (y - 30) ** 2 <= 25.5**2
-    normals, valid = sphere_normals(disc, "mask.png")
-    assert normals[20, 55] == pytest.approx([15 / 25.5, 10 / 25.5, 0.707], abs=2e-3)
-    assert valid[30, 64]
-    assert not valid[30, 65]
-    with pytest.raises(InputError, match=r"mask\.png: expected the disc of a sphere, found"):
-        sphere_normals(disc & (x < 40), "mask.png")
 
 
 def test_sets_are_found_below_a_folder(tmp_path: Path) -> None:

@@ -13,14 +13,13 @@ import numpy as np
 import pytest
 
 from evaluation_tasks import recorded
-from pbrfit.model.geometry import angles_between, positions
-from pbrfit.model.reflection import render
+from pbrfit.model.geometry import angles_between
 from pbrfit.result.verdict import PARAMETERS, ROUGH_ERROR, USABLE_ERROR, deserved
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.everyday.disturbances import NOISE
 from pbrfit_evaluation.grid import Case
 from pbrfit_evaluation.suite import Results
-from pbrfit_evaluation.uncertainty import conditions, figures
+from pbrfit_evaluation.uncertainty import figures
 from pbrfit_evaluation.uncertainty.conditions import CONDITIONS, NAMES, Name, made
 from pbrfit_evaluation.uncertainty.figures import (
     ABOVE_GUESS,
@@ -29,7 +28,7 @@ from pbrfit_evaluation.uncertainty.figures import (
     USABLE_RIGHT,
 )
 from pbrfit_evaluation.uncertainty.measure import calibration
-from scene_files import lights_of, truth_of
+from scene_files import truth_of
 
 SEED = 7
 
@@ -75,36 +74,6 @@ def test_what_is_told_wrong(clean: Scene) -> None:
     assert (clean.model, other.model) == ("paper", "principled")
     assert np.abs(other.images - clean.images).max() > 0.01
     assert len(scene("three").images) == 3
-
-
-def test_surfaces_block_light_and_reflect_it(clean: Scene) -> None:
-    """At one exposure: less light than without them, and more with what they reflect."""
-
-    def by_clean(name: Name) -> Any:
-        found = scene(name)
-        exposure = np.median(lights_of(found) / lights_of(clean))
-        return (found.images / exposure - clean.images).mean()
-
-    blocked, reflected = by_clean("shadows"), by_clean("bounces")
-    assert blocked < -0.02
-    assert reflected > blocked + 0.02
-
-
-def test_lamps_hang_before_what_the_camera_sees_and_light_most(clean: Scene) -> None:
-    points = positions(np.full((16, 16), 2.0), 60.0).reshape(-1, 3)
-    lamps = conditions.drawn_lamps(200, points, np.random.default_rng(0))
-    assert lamps.near.mean() == 0.5
-    depths = -lamps.places[lamps.near][:, 2]
-    assert depths.min() >= 2 * conditions.NEAREST
-    assert depths.max() <= 2 * conditions.FARTHEST
-    assert lamps.places[~lamps.near][:, 2].min() > 0
-    found = scene("lamps")
-    truth = truth_of(found)
-    assert truth.lighting is None
-    ambient = conditions.AMBIENT * lights_of(clean)
-    around = render(truth.materials, found.normals, ambient, 60.0, model="paper")
-    shares = around.mean(axis=(1, 2, 3)) / found.images.mean(axis=(1, 2, 3))
-    np.testing.assert_allclose(shares, conditions.AMBIENT, rtol=0.02)
 
 
 def planted(scale: float, count: int = 20_000) -> Mapping[str, Any]:

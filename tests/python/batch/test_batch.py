@@ -25,7 +25,7 @@ from pbrfit import Scene
 from pbrfit.batch import place, scenes
 from pbrfit.batch.driver import Attempt, drive
 from pbrfit.batch.executors import Processes
-from pbrfit.batch.prediction import of_scene, picture_size
+from pbrfit.batch.prediction import of_scene
 from pbrfit.batch.scenes import SceneTask, decompose_scene
 from pbrfit.batch.unchanged import kept
 from pbrfit.fit import memory
@@ -36,11 +36,10 @@ from pbrfit.io.weight_files import write_weights
 from pbrfit.model.lighting import Lighting
 from pbrfit.result.options import FitOptions, Priors
 from pbrfit.result.result import FILES, RESULT_FOLDER, Result
-from pbrfit.scene import folder as scene_folder
 from pbrfit.scene.options import ReadOptions
 from pbrfit.synthetic import make_scene
 from processes import alive, until, waiting_at
-from scene_files import FORMATS, SIZE, known, lights_of, room, run, write_folder
+from scene_files import FORMATS, SIZE, known, lights_of, run, write_folder
 
 FEW = ("--iterations", 0, "--no-report")
 
@@ -296,13 +295,6 @@ def test_an_unchanged_scene_is_kept_wherever_it_lies(result: Path) -> None:
     assert kept(result / "out", result / "elsewhere", READING, OPTIONS) is not None
 
 
-def test_the_files_that_are_looked_at_are_those_that_are_read(whole: Path) -> None:
-    inputs = Scene.load(whole / "scene").inputs
-    assert scene_folder.digests(whole / "scene") == inputs
-    assert {"mask.png", "normals.exr", "weights.exr", "segments.png", "lighting.json"} < set(inputs)
-    assert {"scene.toml", "truth/materials.exr", "truth/relight/lighting.json"} < set(inputs)
-
-
 FILES_OF_A_SCENE = (
     *("images/light_01.exr", "mask.png", "normals.exr", "weights.exr", "segments.png"),
     *("lighting.json", "scene.toml", "truth/materials.exr", "truth/lighting.json"),
@@ -423,16 +415,6 @@ def test_what_a_killed_batch_left_is_removed_and_what_it_took_away_put_back(
     assert sorted(path.name for path in out.iterdir()) == sorted(NAMES)
 
 
-def test_an_output_that_cannot_be_made_shows_before_the_work(folder: Path, tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / ".pbrfit").touch()
-    for out in (tmp_path / "file", tmp_path / "file" / "out", tmp_path / "out"):
-        assert str(out) in refused(
-            "decompose", folder, "--out", out, "--iterations", 10**9, "--jobs", 2
-        )
-
-
 def test_a_scene_that_is_no_longer_wanted_is_given_up(folder: Path, tmp_path: Path) -> None:
     """Workers of a cluster outlive the batch; what they wait for is the folder it removes."""
     temporaries = tmp_path / "out" / ".pbrfit"
@@ -496,19 +478,6 @@ def test_memory_is_predicted_as_inspect_does(
         assert told <= predicted <= max(1.02 * told, reading)
     else:
         assert told <= predicted
-
-
-@pytest.mark.parametrize("form", FORMATS)
-def test_sizes_need_no_picture(tmp_path: Path, form: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    suffix, write, _, _ = FORMATS[form]
-    path = tmp_path / f"a{suffix}"
-    write(path, room().images[0][:, :7])
-
-    def fail(*_: object, **__: object) -> None:
-        raise AssertionError("it was decoded")
-
-    monkeypatch.setattr(images, "read_picture", fail)
-    assert picture_size(path) == (SIZE, 7)
 
 
 def test_scenes_wait_for_memory(

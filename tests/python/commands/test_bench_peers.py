@@ -14,10 +14,8 @@ import pytest
 from numpy.typing import NDArray
 
 from pbrfit import _core
-from peers import kernel, race, report
+from peers import race
 from peers.case import Case
-from peers.machine import Machine
-from peers.outcome import Outcome, names
 from peers.race import Settings, Standing
 from peers.roster import OURS, ROSTER, Entry
 from peers.worker import Ready
@@ -177,35 +175,3 @@ def test_command_wants_figures_for_its_own_numbers_of_threads(tmp_path: Path) ->
 def standing(name: str, threads: int, ms: float | None) -> Standing:
     times = None if ms is None else race.Times(ms, (ms, ms), 1.0, 0.0)
     return Standing(name, "package", threads, "ok" if ms else "lost", times=times)
-
-
-OUTCOME = Outcome(
-    Settings(10, 1, (1, 2), 1),
-    Machine("test", None, 256, {1: 1.0, 2: 2.0}, {1: 1.0, 2: 1.0}),
-    (
-        *(standing("b", 1, None), standing("b", 2, None)),
-        *(standing(OURS, 1, 2.0), standing(OURS, 2, 1.0)),
-        *(standing("a", 1, 4.0), standing("a", 2, 6.0)),
-        *(standing("c", 1, 8.0), standing("c", 2, 3.0)),
-    ),
-)
-
-
-def test_peers_compare_with_ours_at_as_many_threads_and_the_best_counts() -> None:
-    assert names(OUTCOME.standings) == [OURS, "c", "a", "b"]
-    assert OUTCOME.ratio(OUTCOME.of("a", 1)) == 2.0
-    assert OUTCOME.ratio(OUTCOME.of("b", 1)) is None
-    best = [OUTCOME.best(threads) for threads in (1, 2)]
-    assert [one.name for one in best if one] == ["a", "c"]
-    assert OUTCOME.fraction_of_peak(OUTCOME.of(OURS, 2)) == pytest.approx(99 * 300 / 2e6)
-    table = report.tables(OUTCOME, [])["The best peer"]
-    assert [list(row) for row in table.rows] == [["1 thread", "a", 2.0], ["2 threads", "c", 3.0]]
-
-
-def test_the_kernel_is_timed_at_every_size() -> None:
-    asked = [point for point in kernel.points([1], quick=True) if point.pictures == 4]
-    found = kernel.measure(asked, 1)
-    assert {(point.model, point.side) for point in found} == {("paper", 64), ("principled", 64)}
-    assert all(point.median_ms > 0 for point in found)
-    full = {(point.side, point.pictures) for point in kernel.points([1, 2], quick=False)}
-    assert {(512, 4), (512, 16), (512, 64)} < full

@@ -371,17 +371,6 @@ def test_what_is_no_result_folder(folders: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "out.exr").exists()
 
 
-def test_an_output_that_exists(room: Path, tmp_path: Path) -> None:
-    command = ("relight", room, "--light", "0,0", "--out")
-    out = tmp_path / "out.png"
-    out.write_text("a picture that somebody made")
-    assert f"{out}: expected a file that does not exist yet" in refused(*command, out)
-    assert out.read_text() == "a picture that somebody made"
-    done(*command, out, "--overwrite")
-    with Image.open(out) as picture:
-        assert picture.size == (16, 16)
-
-
 def test_what_is_read_is_not_overwritten(room: Path, pano: Path) -> None:
     materials = room / "materials.exr"
     (pano.parent / "frame_0000.exr").touch()
@@ -505,24 +494,3 @@ def test_far_lamps_of_a_picture_go_around(lamps: Path, tmp_path: Path) -> None:
     first, second = (exr(tmp_path / "frames" / f"frame_000{k}.exr") for k in range(2))
     np.testing.assert_array_equal(first, written(lamps, tmp_path, "--picture", "a"))
     assert second[..., :3].mean() < first[..., :3].mean()  # from behind, ambient light is left
-
-
-def test_a_failure_on_the_way_leaves_nothing(
-    room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from pbrfit.commands import relight as command
-
-    calls = []
-
-    def fails(*arguments: Any, **more: Any) -> Array:
-        calls.append(arguments)
-        if len(calls) > 1:
-            raise KeyboardInterrupt
-        return relight(*arguments, **more)
-
-    monkeypatch.setattr(command, "relight", fails)
-    for out in ("frames", "out.gif", "out.webp", "out.png"):
-        calls.clear()
-        turntable = ("--light", "0,0", "--turntable", 3, "--out", tmp_path / "deep" / out)
-        assert run("relight", room, *turntable, "--quiet") == 130
-        assert list(tmp_path.iterdir()) == []

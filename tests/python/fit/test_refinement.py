@@ -123,25 +123,6 @@ def test_layers_of_given_normals_as_another_reader_sees_them(
         np.testing.assert_allclose(found[result.mask], stored, rtol=0, atol=atol, err_msg=name)
 
 
-def test_results_without_refined_normals_have_none_of_their_layers(
-    result: Result, tmp_path: Path
-) -> None:
-    plain = dataclasses.replace(result, refinement=NOT_ASKED, given_normals=None)
-    plain.save(tmp_path / "out")
-    layers = layers_of(tmp_path / "out" / "materials.exr")
-    assert not [name for name in layers if name.startswith(("normal_given", "normal_ch"))]
-    content = json.loads((tmp_path / "out" / "result.json").read_text("utf-8"))
-    assert content["normals"] == {
-        "asked": "off",
-        "refined": False,
-        "why": "not asked for",
-        "figures": {},
-    }
-    loaded = Result.load(tmp_path / "out")
-    assert loaded.refinement == NOT_ASKED
-    assert loaded.given_normals is None
-
-
 def test_refined_normals_are_saved_and_read_back(result: Result, tmp_path: Path) -> None:
     result.save(tmp_path / "out")
     content = json.loads((tmp_path / "out" / "result.json").read_text("utf-8"))

@@ -278,11 +278,3 @@ def test_in_a_batch_only_the_scene_with_a_result_of_another_model_fails(
     assert Result.load(out / "two").model == "paper"
     shutil.rmtree(out / "one")
     assert run(*fit, "--resume") == 0
-
-
-@pytest.mark.parametrize("command", ["decompose", "synth", "demo", "check-gradients"])
-def test_the_help_says_what_each_model_is(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(command, "--help-all" if command == "decompose" else "--help") == 0
-    help_text = " ".join(capsys.readouterr().out.split())
-    assert "--model {paper,principled}" in help_text
-    assert "(default: paper) (default: paper)" not in help_text

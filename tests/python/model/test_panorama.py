@@ -67,13 +67,6 @@ def test_an_sh_light_comes_back_from_its_panorama_to_rounding(height: int) -> No
     assert np.abs(panorama.project(there) - light()).max() < 1e-13
 
 
-def test_a_projection_in_pieces_is_that_of_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    pixels = lamp((0.6, 0.48, 0.64))
-    whole = panorama.project(pixels)
-    monkeypatch.setattr(panorama, "CHUNK", 1000)
-    np.testing.assert_allclose(panorama.project(pixels), whole, atol=1e-13)
-
-
 @given(st.floats(-720, 720), st.integers(0, 2**32 - 1))
 def test_a_turned_light_comes_from_turned_directions(degrees: float, seed: int) -> None:
     t = np.radians(degrees)

@@ -41,7 +41,7 @@ from pbrfit.transport.decision import Transport
 from refined import refined
 from relit import shaded_ball
 from result_files import CONTRADICTED
-from scene_files import known, lights_of, truth_of, write_exr
+from scene_files import known, truth_of, write_exr
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -301,16 +301,6 @@ def test_the_same_result_gives_the_same_page(page: Page, folder: Path, tmp_path:
     assert again.content == page.content
 
 
-def test_scene_and_result_may_move_together(unfitted: Path, tmp_path: Path) -> None:
-    for name in ("scene", "result"):
-        shutil.copytree(unfitted / name, tmp_path / "else" / name)
-    content = json.loads((unfitted / "result" / "result.json").read_text("utf-8"))
-    assert content["scene"]["path"] == "../scene"
-    result = Result.load(tmp_path / "else" / "result")
-    assert known(result.source).path == (tmp_path / "else" / "scene").resolve()
-    assert "Picture light_00" in str(written(result, tmp_path / "page.html").all("img"))
-
-
 def test_a_scene_that_is_gone_is_said_and_its_pictures_are_not_shown(
     unfitted: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -474,27 +464,6 @@ def test_samples_without_weight_are_white_in_the_residual_and_counted(tmp_path: 
     rendered = render(result.materials, result.normals, light[1], result.fov)[5:]
     rmse = np.sqrt(np.mean(np.square(rendered - scene.images[1, 5:])))
     assert min(abs(value - rmse) for value in found.values) <= 1e-9 * rmse
-
-
-def test_there_are_no_deviations_where_nothing_tells_the_noise(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    images = rng.random((3, 1, 1, 3)).astype(np.float32) + 0.1
-    result = decompose(Scene(images, np.array([[[0.0, 0.0, 1.0]]])), iterations=3)
-    assert known(result.uncertainty).noise is None
-    page = written(result, tmp_path / "page.html")
-    assert "There are no more samples than unknowns, so nothing tells the noise." in page.text
-    assert "median deviation" not in page.text
-
-
-def test_grey_pictures_and_one_picture_of_known_light(tmp_path: Path) -> None:
-    made = make_scene("room", size=SIZE, lights=2)
-    grey = np.repeat(made.images[:1, ..., :1], 3, axis=-1)
-    light = np.repeat(lights_of(made)[:1, :, :1], 3, axis=-1)
-    scene = Scene(images=grey, normals=made.normals, lighting=light)
-    result = decompose(scene, iterations=2)
-    found = written(result, tmp_path / "page.html", scene)
-    assert found.all("h1")[0].text == "Materials from one picture"
-    assert len([e for e in found.all("img") if e.attributes["alt"].startswith("Panorama")]) == 1
 
 
 def test_flat_normals_are_doubted(tmp_path: Path) -> None:

@@ -118,20 +118,6 @@ def tilted(light: NDArray[np.float64], degrees: float) -> NDArray[np.float64]:
     return np.asarray(solved, np.float64)
 
 
-@pytest.mark.parametrize("model", MODELS)
-def test_every_recovered_light_gives_the_pixels_of_the_package(
-    browser: Browser, furnished: Result, tmp_path: Path, model: Model
-) -> None:
-    result = of_model(furnished, model)
-    with opened(browser, result, tmp_path) as view:
-        for name, light in zip(result.pictures, result.lighting, strict=True):
-            view.go(f"light={name}&tone=none")
-            true = expected(result, light, exposure=view.automatic())
-            largest, mean = difference(view.saved(), true)
-            assert largest <= AT_MOST, name
-            assert mean < 0.1
-
-
 LAMPS = [(-35, 35), (60, -20), (10, 85), (120, 20)]
 """Azimuth and elevation; the last shines from behind."""
 
@@ -928,24 +914,3 @@ def test_exposures_show_the_lamp_and_every_light_well(
         true = expected(dark, dark.lighting[0], exposure=view.automatic(), tone_map="neutral")
         assert difference(found, true)[0] <= AT_MOST
         assert maps.of_result(dark, 1024).mask.all()
-
-
-def test_a_slow_machine_draws_fewer_pixels_while_the_light_moves(
-    browser: Browser, tmp_path: Path
-) -> None:
-    with opened(browser, made(64, 48), tmp_path) as view:
-        widths = view.page.evaluate(
-            """() => {
-                const { view } = document.querySelector('.relight-view');
-                const widths = [];
-                view.moving = true;
-                for (let frame = 1; frame <= 5; frame++) {
-                    view.draw(100 * frame);
-                    widths.push(view.canvas.width);
-                }
-                view.moving = false;
-                view.draw();
-                return [...widths, view.canvas.width];
-            }"""
-        )
-        assert widths == [48, 48, 48, 24, 24, 48]

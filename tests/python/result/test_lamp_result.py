@@ -57,17 +57,6 @@ def test_height_as_another_reader_sees_it(result: Result, tmp_path: Path) -> Non
     assert np.isfinite(layers["Y"]).all()
 
 
-def test_a_result_without_lamps_or_height_says_nothing_of_them(tmp_path: Path) -> None:
-    plain = dataclasses.replace(ball_under_lamps(), lamps=None, height=None)
-    plain.save(tmp_path / "out")
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == FILES
-    light = json.loads((tmp_path / "out" / "lighting.json").read_text("utf-8"))
-    assert list(light) == ["basis", "order", "pictures", "coefficients"]
-    found = Result.load(tmp_path / "out")
-    assert found.lamps is None
-    assert found.height is None
-
-
 def test_a_missing_or_other_height_is_told(result: Result, tmp_path: Path) -> None:
     result.save(tmp_path / "out")
     (tmp_path / "out" / "height.exr").write_bytes(b"")

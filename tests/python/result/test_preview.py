@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import math
 
 import numpy as np
 import pytest
 
 from pbrfit import Result, Scene, decompose
 from pbrfit.result import differences
-from pbrfit.result.preview import _histogram, contact_sheet, preview
+from pbrfit.result.preview import contact_sheet, preview
 from pbrfit.result.sheet import FONT, MARGIN, PANEL_SIDE, Panel, Row, caption_height, sheet
 from pbrfit.result.verdict import LEVELS, MARKS, PARAMETERS, Verdict
 from pbrfit.synthetic import make_scene
-from refined import degrees_of, refined
+from refined import refined
 from scene_files import known
 
 LINE = caption_height(PANEL_SIDE[0])
@@ -58,19 +57,6 @@ def test_a_preview_of_any_shape_of_picture(height: int, width: int) -> None:
     found = contact_sheet(scene)  # normals, pictures, and histograms without captions
     assert 0 < found.shape[0] - (3 * row + 2 * LINE) < 3 * LINE
     assert found.shape[1:] == (2 * (PANEL_SIDE[0] + MARGIN) + MARGIN, 3)
-
-
-def test_a_histogram_shows_how_often_values_occur() -> None:
-    """Three quarters of red at the middle and the rest at its end; masked pixels do not count."""
-    values = np.zeros((8, 64, 3))
-    values[:, :, 0] = np.where(np.arange(64) < 48, 0.5, 1.0)
-    values[4:, :] = 0.3
-    inside = np.zeros((8, 64), bool)
-    inside[:4] = True
-    red = _histogram(values, inside)[..., 1] < 1  # red areas have less of the other channels
-    assert red[:, 32].all()
-    assert red[:, 63].sum() == round(8 / 3) - 1
-    assert not red[:, 1:32].any()
 
 
 def test_a_preview_is_of_the_box_around_the_mask() -> None:
@@ -145,38 +131,6 @@ def test_refined_normals_add_a_row_and_a_key() -> None:
     assert preview(refined(result)).shape[0] == found.shape[0] - (
         without.shape[0] - preview(result).shape[0]
     )
-
-
-def test_the_change_of_normals_is_white_where_they_are_as_given() -> None:
-    result = refined(whole()[1])
-    indices = differences.turned(known(result.normal_change)).indices()
-    unchanged = degrees_of(result.mask) == 0
-    np.testing.assert_array_equal(indices == differences.WHITE, unchanged)
-    # The same place on the scale as a difference of that many radians.
-    radians = np.radians(degrees_of(result.mask))
-    expected = differences.Difference(radians).indices()
-    np.testing.assert_array_equal(indices[~unchanged], expected[~unchanged])
-    ticks = differences.tick_places(degrees=True)
-    assert list(ticks) == sorted(ticks)
-    [ten] = [place for place, label in ticks.items() if label == "10°"]
-    assert ten == pytest.approx(float(differences.on_scale(math.pi / 18)))
-
-
-def test_panels_lie_where_they_should_and_large_ones_are_averaged() -> None:
-    red, blue = np.zeros((2, 24, 24, 3))
-    red[..., 0] = blue[..., 2] = 1.0
-    rows: list[Row] = [[Panel("red", red), None], [None, Panel("blue", blue)]]
-    made = sheet(rows)
-    step, down = PANEL_SIDE[0] + MARGIN, PANEL_SIDE[0] + LINE + MARGIN
-    center = MARGIN + PANEL_SIDE[0] // 2
-    assert tuple(made[center + LINE, center]) == (255, 0, 0)
-    assert tuple(made[center + LINE + down, center + step]) == (0, 0, 255)
-    assert tuple(made[center + LINE, center + step]) == (255, 255, 255)
-    stripes = np.zeros((1536, 1536, 3))
-    stripes[::2] = 1.0
-    made = sheet([[Panel("stripes", stripes)]])
-    assert made.shape[1] == PANEL_SIDE[1] + 2 * MARGIN
-    assert abs(int(made[200, 200, 0]) - 128) <= 1
 
 
 def test_normals_that_face_away_are_orange_and_masked_pixels_grey() -> None:

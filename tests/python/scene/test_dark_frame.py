@@ -67,14 +67,6 @@ def test_noise_below_it_stays_negative_and_can_be_fitted(tmp_path: Path) -> None
     assert "dark frame" in result.assumed
 
 
-def test_it_is_averaged_down_with_the_pictures(tmp_path: Path) -> None:
-    folder = glowing(tmp_path / "scene")
-    write_exr(folder / "dark.exr", glow())
-    half = room().images.reshape(3, SIZE // 2, 2, SIZE // 2, 2, 3).mean(axis=(2, 4))
-    scene = Scene.load(folder, max_size=SIZE // 2)
-    np.testing.assert_allclose(scene.images, 0.9 * half, rtol=0, atol=1e-6)
-
-
 def test_pixels_that_are_clipped_in_it_are_left_out(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "scene", "8-bit PNG")
     hot = np.zeros((SIZE, SIZE, 3))

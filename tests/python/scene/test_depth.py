@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from command_runs import done
 from pbrfit import InputError, Scene
-from pbrfit.fit.tiles.windows import Window, cut
 from pbrfit.io import images
 from pbrfit.model import geometry
 from pbrfit.report import inspection
@@ -204,16 +203,6 @@ def test_depth_follows_a_smaller_size(tmp_path: Path) -> None:
     np.testing.assert_array_equal(known(read.depth), reduced(known(made.depth), (48, 48)))
     # Still the depth of the surfaces that the averaged normals are of.
     assert compared(known(read.depth), read.normals, FOV)[0] < 1
-
-
-def test_a_part_of_a_scene_has_its_part_of_the_depth() -> None:
-    depth, normals = furnished()
-    whole = scene(depth, normals)
-    for rows in (slice(10, 40), slice(1, None, 3)):
-        window = Window(rows, slice(5, 90, 1))
-        part = cut(whole, window)
-        np.testing.assert_array_equal(part.depth, window.of(known(whole.depth)))
-    assert cut(scene(None, normals), window).depth is None
 
 
 def test_inspect_tells_what_the_depth_is_like(tmp_path: Path) -> None:

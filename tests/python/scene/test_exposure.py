@@ -42,19 +42,6 @@ def brighter(scene: pbrfit.Scene, picture: int, factor: float) -> pbrfit.Scene:
     return dataclasses.replace(scene, images=images, truth=truth)
 
 
-def test_means_are_of_valid_samples_by_their_weight() -> None:
-    rng = np.random.default_rng(0)
-    weights = rng.uniform(0, 1, (N, SIZE, SIZE)).astype(np.float32)
-    weights[:, 3] = 0
-    scene = dataclasses.replace(made(), weights=weights)
-    broken = scene.images.copy()
-    broken[:, 3] = np.nan
-    scene = dataclasses.replace(scene, images=broken)
-    total = np.nansum(weights[..., None].astype(np.float64) * broken, axis=(1, 2, 3))
-    expected = total / (3 * weights.sum(axis=(1, 2), dtype=np.float64))
-    np.testing.assert_allclose(mean_radiance(scene), expected, rtol=1e-12)
-
-
 def test_exposures_are_evened_out_beyond_the_range() -> None:
     scene = made()
     below, above = (np.array([1, 2, 3, 2, EXPOSURE_RANGE * f]) for f in (0.999, 1.001))
