@@ -36,7 +36,6 @@ from pbrfit._core import InputError
 from pbrfit.acquire.generators import Refused, Request, gpt_image
 from pbrfit.acquire.generators.gpt_image import GptImage
 from pbrfit.acquire.photo import Photo, read_photo
-from pbrfit.acquire.prompts import read_prompts
 
 ASK = Request("lamp_left", "Light from a lamp at the left.", "people, text.", 7)
 
@@ -237,13 +236,6 @@ def test_a_picture_that_cannot_be_read_is_told(
     assert told in error_of(photo(tmp_path))
 
 
-@pytest.mark.parametrize("strange", [10**400, -1, "many", 1.5, 2**53 + 1])
-def test_counts_that_are_none_are_left_out(tmp_path: Path, serve: Serve, strange: object) -> None:
-    serve(lambda call: picture(call.image, usage={**USAGE, "output_tokens": strange}))
-    generated = GptImage().generate(photo(tmp_path), ASK)
-    assert generated.record["usage"] is None
-
-
 @pytest.mark.parametrize("status", [200, 400])
 def test_an_answer_that_unpacks_to_gigabytes_takes_little_memory(
     tmp_path: Path, serve: Serve, status: int
@@ -354,13 +346,3 @@ def test_the_key_is_in_no_setting_record_or_log(
     seen = json.dumps([generator.settings(), generated.record]) + repr(generator) + caplog.text
     assert caplog.text
     assert KEY not in seen
-
-
-def test_requests_are_the_catalogues_and_all_have_the_first_seed() -> None:
-    catalogue = read_prompts()
-    requests = GptImage().plan(catalogue, 3, 5)
-    assert [request.seed for request in requests] == [5, 5, 5]
-    assert requests[0].prompt == catalogue.full(catalogue.lighting[0])
-    assert requests[0].negative == catalogue.negative
-    later = replace(catalogue, lighting=catalogue.lighting[1:])  # one in front changes no other
-    assert GptImage().plan(later, 2, 5) == requests[1:]

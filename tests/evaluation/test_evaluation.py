@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import subprocess
 import sys
@@ -18,7 +17,6 @@ from pbrfit import InputError, Materials, Result, Scene
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation import jobs, recipes, scores
 from pbrfit_evaluation.jobs import Record
-from pbrfit_evaluation.suite import mean_with_interval
 from processes import alive, until
 from scene_files import known, lights_of, truth_of
 
@@ -111,17 +109,6 @@ def test_an_interrupted_run_keeps_what_is_done(tmp_path: Path) -> None:
     assert [p.name for p in (tmp_path / "records").iterdir()] == ["a.json"]
     jobs.run([tasks[0], Task("b", tmp_path), tasks[2]], work, tmp_path)
     assert attempts(tmp_path) == {"a": 1, "b": 2, "c": 1}
-
-
-def test_mean_and_interval() -> None:
-    values = np.random.default_rng(0).normal(3.0, 0.5, size=400)
-    found = mean_with_interval([*values, math.nan])
-    assert found.count == 400
-    assert found.mean == pytest.approx(values.mean())
-    half = 1.96 * values.std() / 20  # what it tends to for many values
-    assert found.low == pytest.approx(values.mean() - half, abs=0.15 * half)
-    assert found.high == pytest.approx(values.mean() + half, abs=0.15 * half)
-    assert mean_with_interval(list(values)) == found  # the same draws every time
 
 
 def test_folder_of_a_suite(tmp_path: Path) -> None:

@@ -80,15 +80,6 @@ def test_what_is_not_disturbed_is_the_reference(disturbance: Any, noise: Scene) 
             assert changed.mean() == pytest.approx(0.002, rel=0.1)
 
 
-def test_a_grey_scene_is_grey_and_its_truth_explains_it(clean: Scene) -> None:
-    grey, truth = made("grey"), truth_of(made("grey"))
-    lit = render(truth.materials, grey.normals, known(truth.lighting), 60, model="paper")
-    assert grey.grey
-    assert lit.mean() == pytest.approx(clean.images.mean(), rel=1e-6)
-    assert (grey.images - lit).std() == pytest.approx(NOISE / np.sqrt(3), rel=0.05)
-    assert np.ptp(truth.materials.albedo, axis=-1).max() == 0
-
-
 def test_files_of_8_bits_clip_the_brightest_half_percent(noise: Scene) -> None:
     png = made("png")
     assert png.source is not None
@@ -99,18 +90,6 @@ def test_files_of_8_bits_clip_the_brightest_half_percent(noise: Scene) -> None:
     codes = 255 * encode_srgb(png.images[sound])
     np.testing.assert_allclose(codes, np.round(codes), atol=1e-3)
     assert np.abs(codes - written.clip(0, 255)).max() <= 0.51
-
-
-@pytest.mark.parametrize("said", ["90-444", "75-420"])
-def test_a_jpeg_has_a_twin_with_noise_of_its_rms(said: Any) -> None:
-    clean, jpeg, white = (made(name, 32) for name in ("clean", f"jpeg-{said}", f"white-{said}"))
-    at_white = np.quantile(clean.images, disturbances.UNCLIPPED)
-    held = clean.images < at_white
-    of_jpeg = (at_white * jpeg.images - clean.images)[held]
-    of_white = (white.images - clean.images)[held]
-    assert of_white.std() == pytest.approx(np.sqrt(np.mean(of_jpeg**2)), rel=0.02)
-    assert white.images.dtype == np.float32
-    assert white.limits is None
 
 
 def test_the_scale_is_that_of_albedo(clean: Scene) -> None:

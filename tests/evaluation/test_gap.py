@@ -142,22 +142,6 @@ def test_a_perfect_model_has_no_gap_and_a_brighter_one_its_own(own: measure.Refe
     np.testing.assert_allclose(of["brighter"]["error"], 0.5 * signal)
 
 
-def test_sphere_error_is_that_of_many_turned_lights() -> None:
-    """The formula against drawn lights: rendered errors of one ring, the light turned around."""
-    rng = np.random.default_rng(0)
-    difference = rng.normal(size=(1, 1, 3, 16))
-    light = rng.normal(size=(1, 16, 3))
-    found = measure.rms_radiance(difference, np.ones(1), measure.band_power(light))[0]
-    directions = reference.unit(rng.normal(size=(64, 3)))
-    basis = reference.sh_basis(directions)
-    squared = []
-    for _ in range(300):
-        turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-        turned = np.linalg.lstsq(basis, reference.sh_basis(directions @ turn) @ light[0], None)[0]
-        squared.append(np.einsum("ck,kc->c", difference[0, 0], turned) ** 2)
-    assert found == pytest.approx(math.sqrt(np.mean(squared)), rel=0.12)
-
-
 @pytest.mark.parametrize(("r", "n_dot_v"), [(0.0, 0.5), (0.5, 0.0), (1.1, 0.5), (math.nan, 0.5)])
 def test_points_outside_the_range_are_named(r: float, n_dot_v: float) -> None:
     for of in (respond, principled.respond):

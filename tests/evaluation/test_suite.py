@@ -24,10 +24,8 @@ from page_reader import Page
 from pbrfit.commands.arguments import add_threads
 from pbrfit_evaluation import commands, options, report
 from pbrfit_evaluation.suite import (
-    Column,
     Options,
     Part,
-    Picture,
     Results,
     Row,
     Section,
@@ -261,37 +259,6 @@ def test_options_out_of_range_are_refused_before_anything_is_written(
     assert message in error
     assert error.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
-
-
-def test_rows_as_a_table() -> None:
-    rows = [
-        Row("one", 2, "a", {"albedo": 0.25, "albedo_low": 0.125, "albedo_high": 0.5}),
-        Row("one", 2, "b", {"albedo": 0.75, "ssim": 0.5}),
-        Row("one", 2, "guess", {"albedo": 0.0}, guess=True),
-        Row("two", 0, None, {}, status="not run: why"),
-    ]
-    table = Table.of(rows, [Column("albedo", best="low"), Column("ssim", "SSIM", "high")])
-    assert report.markdown(table) == (
-        "|  | scenes | solver | albedo | SSIM | status |\n"
-        "| --- | ---: | --- | ---: | ---: | --- |\n"
-        "| one | 2 | a | **0.250 [0.125, 0.500]** | – |  |\n"
-        "|  |  | b | 0.750 | **0.500** |  |\n"
-        "|  |  | guess | 0 | – |  |\n"
-        "| two | 0 |  | – | – | not run: why |\n"
-    )
-    assert list(Table.of(rows[:1]).columns) == ["", "scenes", "solver", "albedo"]
-
-
-def test_a_page_holds_its_plots(tmp_path: Path) -> None:
-    plot = Picture("curve", "Error & time.", b"png")
-    section = Section("A & B", "Said.\n\nTwice.", [Table(["n"], [[1.0], [None]])], [plot])
-    found = report.Outcome([], [], [section], {}, [])
-    report.write(tmp_path, SUITE, OPTIONS, found)
-    assert (tmp_path / "curve.png").exists()
-    page = Page((tmp_path / "report.html").read_text("utf-8"))
-    assert [image.attributes["alt"] for image in page.all("img")] == ["Error & time."]
-    assert [cell.text for cell in page.all("td")] == ["1", "–"]
-    assert (tmp_path / "nothing.md").read_text("utf-8").startswith("### A & B\n")
 
 
 def test_a_summary_says_how_to_make_it_again_and_holds_the_tables(tmp_path: Path) -> None:

@@ -121,20 +121,6 @@ def one_set(maps: Array) -> MaterialSet:
     return MaterialSet(name="made", levels=tuple(levels), relief=True)
 
 
-def test_between_texels_and_levels_values_are_linear() -> None:
-    maps = noise(4, 8, 8)
-    made = one_set(maps)
-
-    def sample(u: float, v: float, texels: float) -> Array:
-        return np.asarray(made.sample(np.array([u]), np.array([v]), np.array([texels]))[0])
-
-    found = sample(3 / 8, 1 - 2.5 / 8, 1.0)
-    np.testing.assert_allclose(found, (maps[2, 2] + maps[2, 3]) / 2, atol=1e-6)
-    first, wide, second = (sample(2 / 8, 1 - 2 / 8, x) for x in (2.0, 2 * np.sqrt(2), 4.0))
-    np.testing.assert_allclose(wide, (first + second) / 2, atol=1e-6)
-    np.testing.assert_allclose(sample(0.3, 0.9, 1e9), maps.mean((0, 1)), atol=1e-6)
-
-
 def test_relief_tilts_the_normal_to_the_right_of_the_map() -> None:
     maps = np.zeros((1, 1, 8))
     maps[..., :3], maps[..., 3] = 0.5, 0.01

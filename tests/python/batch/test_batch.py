@@ -166,22 +166,6 @@ def test_an_interrupted_batch_leaves_whole_results_and_no_process(
     assert sorted(path.name for path in out.iterdir()) == sorted(set(NAMES) - {"two"})
 
 
-def test_a_full_disk_is_one_line_that_names_the_result(folder: Path, tmp_path: Path) -> None:
-    resource = pytest.importorskip("resource")
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, before[1]))  # processes inherit it
-    try:
-        found = ran("decompose", folder, "--out", tmp_path / "out", *FEW, "--jobs", 2, "--quiet")
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    lines = found.err.splitlines()
-    assert found.code == 2
-    for name in NAMES:
-        assert f"pbrfit: {tmp_path / 'out' / name}: File too large" in lines
-    assert len(lines) == len(NAMES) + 1
-    assert not (tmp_path / "out").exists()
-
-
 @pytest.mark.parametrize("act", ["no pickle", "no pickle raised"])
 def test_what_no_process_can_send_fails_its_task_alone(tmp_path: Path, act: str) -> None:
     tasks = [Task("a", tmp_path, act), Task("b", tmp_path), Task("c", tmp_path)]
@@ -284,15 +268,6 @@ def changed(file: Path, change: Callable[[Any], object]) -> None:
 
 def is_kept(folder: Path, reading: ReadOptions = READING, options: FitOptions = OPTIONS) -> bool:
     return kept(folder / "out", folder / "scene", reading, options) is not None
-
-
-def test_an_unchanged_scene_is_kept_wherever_it_lies(result: Path) -> None:
-    assert is_kept(result)
-    for path in result.rglob("*"):
-        os.utime(path, (1, 1))
-    (result / "scene" / "notes.txt").write_text("not read")
-    (result / "scene").rename(result / "elsewhere")
-    assert kept(result / "out", result / "elsewhere", READING, OPTIONS) is not None
 
 
 FILES_OF_A_SCENE = (

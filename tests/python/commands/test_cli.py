@@ -134,19 +134,6 @@ def test_a_result_is_replaced_only_when_asked(folder: Path, tmp_path: Path) -> N
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "scene"]
 
 
-@pytest.mark.parametrize("command", ["decompose", "synth", "demo"])
-def test_only_an_earlier_output_is_replaced(folder: Path, command: str) -> None:
-    precious = folder / "thesis"
-    precious.mkdir()
-    (precious / "thesis.txt").write_text("three years")
-    arguments: tuple[str | Path | int, ...] = (command, precious, "--size", 8)
-    if command == "decompose":
-        arguments = (command, folder, "--out", precious, *FEW)
-    said = refused(*arguments, "--overwrite")
-    assert f"{precious}: expected an earlier output to replace" in said
-    assert [path.name for path in precious.iterdir()] == ["thesis.txt"]
-
-
 @pytest.fixture
 def scenes(tmp_path: Path) -> Path:
     for name in ("one", "two"):

@@ -56,15 +56,6 @@ def test_known_lights_share_nothing_and_others_do() -> None:
     assert len(known.modes) == 0
 
 
-def test_a_picture_too_small_for_neighbours_has_a_discrepancy() -> None:
-    scene = room(0.01)
-    mask = np.zeros((24, 24), bool)
-    mask[::5, ::5] = True
-    found = at_truth(dataclasses.replace(scene, mask=mask))
-    assert found.shared == 0
-    assert np.isfinite(found.of_pixel)
-
-
 def test_surfaces_are_mostly_dielectric_and_seldom_mirrors() -> None:
     roughness, metallic = (of.ravel() for of in np.meshgrid(np.linspace(0.03, 1, 33), [0, 0.5, 1]))
     found = population(roughness, metallic)

@@ -102,20 +102,6 @@ def test_sigma_is_found_from_estimates_that_are_unsure_of_it() -> None:
     assert sure.sigma < 0.9 * sigma
 
 
-def test_steps_at_a_few_outlines_hardly_widen_sigma() -> None:
-    sigma = np.radians(1.0)
-    rng = np.random.default_rng(6)
-    steps = sigma * rng.normal(size=(4000, 2))
-    outlines = np.arange(50, 4000, 100)
-    steps[outlines] *= 30
-    index, offsets = chain(steps)
-    prior = settled(TangentOffsetPrior(around(index)), offsets, np.zeros(len(offsets)))
-    assert np.sqrt(np.mean(steps**2)) > 2.5 * sigma
-    assert prior.sigma == pytest.approx(sigma, rel=0.2)
-    within = np.delete(prior.robust_weights, outlines)
-    assert np.median(prior.robust_weights[outlines]) < 0.1 < 0.5 < within.min()
-
-
 @pytest.mark.parametrize(
     ("degrees", "expected"),
     [

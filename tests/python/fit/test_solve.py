@@ -121,33 +121,6 @@ def test_no_more_iterations_than_asked_for(
     assert result.metrics["recon_rmse"] <= 1.001 * start
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("solver", "factor"),
-    [
-        ("lbfgsb", 1e-300),
-        ("lbfgsb", 1e300),
-        # What three pictures leave open depends on rounding; a power of 2 has none.
-        *((solver, 2.0**power) for solver in SOLVERS for power in (-996, 996)),
-    ],
-)
-def test_radiance_beyond_float32_is_fitted_all_the_same(factor: float, solver: Solver) -> None:
-    scene = room(8, lights=3, held_out=1)
-    # Whether other normals are better is left open too.
-    exact = np.log2(factor) % 1 == 0
-    results = [
-        pbrfit.decompose(
-            pbrfit.Scene(scene.images * f, scene.normals, scene.fov),
-            solver=solver,
-            iterations=20,
-            refine_normals="auto" if exact else "off",
-        )
-        for f in (1.0, factor)
-    ]
-    recon = [result.metrics["recon_rmse"] for result in results]
-    assert recon[1] == pytest.approx(recon[0] * factor, rel=0.05)
-
-
 def hollow(scene: pbrfit.Scene) -> pbrfit.Truth:
     """A truth of which no albedo is known."""
     known = truth_of(scene)

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import pbrfit
-from pbrfit.cli import main
 from pbrfit.fit import memory, settings
 from pbrfit.fit.run import Progress
 from pbrfit.fit.settings import WHOLE_PIXELS_MAX
@@ -200,50 +197,6 @@ class TestFit:
         assert np.isfinite(result.albedo).all()
         assert np.isfinite(result.lighting).all()
         assert result.uncertainty is not None
-
-    @pytest.mark.slow
-    def test_time_that_runs_out_says_how_many_tiles_are_unfinished(
-        self, noisy: pbrfit.Scene, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        """A clock that jumps after the fourth tile."""
-        real, asked_since = time.perf_counter, [-1]
-
-        def progress(told: Progress) -> None:
-            if told.tiles == (4, 9):
-                asked_since[0] = 0
-
-        def clock() -> float:
-            asked_since[0] += asked_since[0] >= 0
-            # Once for the time that `progress` took, which is not counted.
-            return real() + 1e6 * (asked_since[0] > 1)
-
-        monkeypatch.setattr(time, "perf_counter", clock)
-        result = held(noisy, time_limit=1e5, progress=progress)
-        assert result.status is Status.TIME_LIMIT
-        assert result.stop_reason.endswith("5 of 9 tiles are unfinished")
-        assert np.isfinite(result.albedo).all()
-        assert result.metrics["recon_rmse"] < 0.05
-
-
-@pytest.mark.usefixtures("nine_tiles")
-class TestCommand:
-    @pytest.mark.slow
-    @pytest.mark.parametrize("option", ["--verbose", "--quiet"])
-    def test_shows_tiles_or_nothing(
-        self,
-        noisy: pbrfit.Scene,
-        option: str,
-        tmp_path: Path,
-        monkeypatch: pytest.MonkeyPatch,
-        capsys: pytest.CaptureFixture[str],
-    ) -> None:
-        noisy.save(tmp_path / "scene")
-        monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-        command = ["decompose", str(tmp_path / "scene"), "--out", str(tmp_path / "result")]
-        assert main([*command, option, "--refine-normals", "off"]) == 0
-        told = capsys.readouterr()
-        said = "all pixels in tiles, lights held (9 tiles;"
-        assert (said in told.out) == bool(told.err) == (option == "--verbose")
 
 
 class TestWhenTilesAreUsed:

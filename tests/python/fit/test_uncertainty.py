@@ -17,9 +17,7 @@ import pbrfit
 from pbrfit.fit import discrepancy, light_modes, settings, uncertainty
 from pbrfit.fit.discrepancy import Discrepancy
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.priors.population import LOG_ALBEDO_DEVIATION
 from pbrfit.fit.settings import MEAN_RADIANCE, SAMPLE_USES, SIGMA_MAX
-from pbrfit.fit.uncertainty import scale_deviation
 from pbrfit.io.images import read_channels
 from pbrfit.result.uncertainty import Uncertainty, layer_names
 from pbrfit.result.verdict import PARAMETERS
@@ -251,18 +249,6 @@ def test_shade_is_in_the_deviation_of_albedo_however_many_pictures() -> None:
     )
     np.testing.assert_allclose(after[:, 3:], before[:, 3:], rtol=1e-4)
     assert (expected > 1e-6).all()
-
-
-def test_a_found_scale_is_no_surer_than_samples_and_never_less_sure_than_albedos() -> None:
-    clean, noisy = (Discrepancy(of, 0.0, np.zeros((0, 1, 16, 1)), 0.0) for of in (1e-12, 1e-4))
-    found = np.full(3, 0.01)
-    np.testing.assert_allclose(scale_deviation(found, clean, referred=False), 0.01, rtol=1e-3)
-    assert (scale_deviation(found, noisy, referred=False) > 0.04).all()
-    np.testing.assert_array_equal(scale_deviation(found, noisy, referred=True), found)
-    off = dataclasses.replace(clean, shared=1e-3)
-    assert (scale_deviation(found, off, referred=False) > 0.4).all()
-    assert scale_deviation(None, clean, referred=False) == LOG_ALBEDO_DEVIATION
-    assert scale_deviation(np.zeros(1), off, referred=False) == 0  # known lights
 
 
 def test_deviations_grow_with_the_noise_alone() -> None:

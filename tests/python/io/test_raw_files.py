@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from PIL import Image
 
 from pbrfit import InputError, Scene
 from pbrfit.batch.prediction import picture_size
@@ -167,12 +166,6 @@ def test_a_sensor_of_another_shape_leaves_the_developed_codes(raw: FakeRaw, tmp_
     assert images.read_picture(written(tmp_path)).limits is None
 
 
-def exif_block(millimetres: int) -> bytes:
-    exif = Image.Exif()
-    exif[0x8769] = {0xA405: millimetres}
-    return exif.tobytes()
-
-
 @pytest.mark.parametrize(
     "head", [b"II*\0", b"IIU\0", b"IIRO"], ids=["TIFF", "Panasonic", "Olympus"]
 )
@@ -184,13 +177,6 @@ def test_the_focal_length_of_its_own_exif(tmp_path: Path, head: bytes) -> None:
     path = tmp_path / "a.rw2"
     path.write_bytes(head + own)
     assert images.read_picture(path).taken.focal_length_35mm == 35
-
-
-def test_else_of_the_picture_for_a_quick_look(raw: FakeRaw, tmp_path: Path) -> None:
-    raw.thumb = b"\xff\xd8\xff\xe1\0\0" + exif_block(28)
-    assert images.read_picture(written(tmp_path)).taken.focal_length_35mm == 28
-    raw.thumb = b"\xff\xd8 nothing"
-    assert images.read_picture(written(tmp_path)).taken.focal_length_35mm is None
 
 
 @pytest.mark.usefixtures("raw")

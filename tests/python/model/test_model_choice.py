@@ -125,15 +125,6 @@ def test_a_scene_folder_keeps_what_rendered_its_pictures(model: Model, tmp_path:
     assert Objective(back).model == model
 
 
-def test_pictures_of_unknown_origin_have_none(tmp_path: Path) -> None:
-    scene = Scene.load(write_folder(tmp_path / "scene"))
-    assert scene.model is None
-    assert "model" not in scene.assumed
-    assert Objective(scene).model == DEFAULT_MODEL
-    scene.save(tmp_path / "again")
-    assert "model" not in (tmp_path / "again" / "scene.toml").read_text("utf-8")
-
-
 def test_scene_toml_names_a_model_or_is_refused(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "scene", fov='fov = 60\nmodel = "eq12"')
     with pytest.raises(InputError) as refused:
@@ -199,15 +190,6 @@ def test_a_result_to_start_from_is_of_the_same_model(model: Model) -> None:
     with pytest.raises(InputError, match=message):
         decompose(room(model), start=found, model=OTHER[model])
     decompose(room(model), start=found.materials, model=OTHER[model], iterations=0)
-
-
-@pytest.mark.parametrize("model", MODELS)
-def test_a_result_folder_says_its_model(model: Model, tmp_path: Path) -> None:
-    result(model).save(tmp_path / "out")
-    content = json.loads((tmp_path / "out" / "result.json").read_text("utf-8"))
-    assert content["model"] == model
-    assert Result.load(tmp_path / "out").model == model
-    assert Result.load(tmp_path / "out").options == result(model).options
 
 
 @pytest.mark.parametrize("name", ["eq12", ["paper"]])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -16,12 +15,11 @@ from scipy.ndimage import map_coordinates
 import pbrfit
 from command_runs import done
 from pbrfit.io.limits import AT_MOST
-from pbrfit.registration import displacement, placement
+from pbrfit.registration import displacement
 from pbrfit.registration.placement import Placement, Registration, aligned, put_back, register
 from pbrfit.result.metrics import rmse
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
-from planted_lamps import far, planted
 from scene_files import known, write_integers
 
 MOVED = 2
@@ -91,27 +89,12 @@ def test_a_displacement_is_found_to_a_tenth_of_a_pixel_under_other_lights(
     assert root_mean_square(found[MOVED].affine - by) < 0.1
 
 
-@pytest.mark.parametrize("by", [affine(6.3, -2.6), affine(0.6, 0.4), affine(0.3, 0.1)])
-def test_a_shift_of_a_larger_picture_is_in_its_own_pixels(by: NDArray[Any]) -> None:
-    found = register(shaken(by, size=192)).placements[MOVED]
-    np.testing.assert_allclose(found.affine[:, 0], by[:, 0], atol=0.1)
-
-
 @pytest.mark.parametrize("kind", ["furnished", "detailed", "room", "textured", "spheres"])
 @pytest.mark.parametrize("lights", [2, 8])
 def test_light_alone_displaces_nothing(kind: str, lights: int) -> None:
     for seed in (31, 32):
         found = register(scene(kind, lights=lights, seed=seed))
         assert found.in_line, found.in_words()
-
-
-def test_slopes_that_lead_nowhere_are_no_displacement() -> None:
-    """Shading asks for displacements of all pictures of a ball under lamps: one is looked into."""
-    ball, moved_by_little = planted(far(12), size=128).scene, shaken(affine(0.35, 0.0))
-    searches = [placement._Register(one, lambda: False, 0) for one in (ball, moved_by_little)]
-    suspects = [search._suspects(search._peaks()) for search in searches]
-    assert len(suspects[0]) <= 1
-    assert suspects[1] == [MOVED]
 
 
 def test_a_limit_ends_registration_and_is_named() -> None:
@@ -268,13 +251,6 @@ def test_bodies_whose_edges_are_of_light_are_not_registered() -> None:
     assert found.in_words() == "not checked: most edges are shadows or highlights"
 
 
-def test_small_pictures_are_not_judged() -> None:
-    for size, judged in ((placement.LEAST_SIDE - 1, False), (placement.LEAST_SIDE, True)):
-        one = make_scene("furnished", size=size, lights=6, held_out=1, seed=1)
-        found = register(with_picture(one, np.roll(one.images[MOVED], 3, axis=1)))
-        assert bool(found.placements) == judged
-
-
 def test_inspect_says_whether_pictures_line_up(tmp_path: Path) -> None:
     small = make_scene("furnished", size=16, lights=3, held_out=1, seed=1)
     for name, one, said in (
@@ -301,18 +277,3 @@ def test_decompose_puts_back_what_was_shifted_unless_told_not_to() -> None:
     assert errors[2] > 2 * errors[0]
     assert back.assumed["alignment"].startswith("light_02 was shifted by (2.0, ")
     assert "alignment" not in as_is.assumed
-
-
-@pytest.mark.slow
-def test_the_command_names_a_shifted_picture(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    shaken(affine(4, -3)).save(tmp_path / "shaken")
-    options = ("--iterations", 1, "--solver", "lbfgsb", "--quiet")
-    out = tmp_path / "out"
-    with caplog.at_level(logging.WARNING, "pbrfit"):
-        done("decompose", tmp_path / "shaken", "--out", out, *options)
-    assert "light_02 was shifted by (4.0, -3.0) pixels" in caplog.text
-    result = pbrfit.Result.load(out)
-    assert "light_02" in result.assumed["alignment"]
-    done("report", out, "--out", tmp_path / "page.html")

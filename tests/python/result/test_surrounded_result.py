@@ -14,12 +14,11 @@ from pbrfit import DirectionalLight, InputError, Result, Scene, decompose, relig
 from pbrfit.batch.scenes import details
 from pbrfit.fit import compare, settings
 from pbrfit.fit import transport as fit_transport
-from pbrfit.model.reflection import MODELS, Model
 from pbrfit.report.inspection import facts
 from pbrfit.result.data import SEGMENT_MAX, storable_segments
 from pbrfit.transport.decision import Transport
 from pbrfit.transport.scenery import Scenery
-from relit import even, fitted, shaded_ball
+from relit import even, shaded_ball
 from scene_files import known
 from small_worlds import box_room
 
@@ -109,15 +108,6 @@ def test_the_decision_is_kept(
     assert not any(line.startswith("surroundings") for line in loaded.left_out)
 
 
-def test_a_result_without_depth_says_that_nothing_was_done() -> None:
-    result = fitted()
-    assert result.transport == Transport()
-    assert result.scenery is None
-    assert "surroundings: no depth is given" in result.left_out
-    with_it, without = (relight(result, result.lighting[0], shadows=one) for one in (True, False))
-    np.testing.assert_array_equal(with_it, without)
-
-
 def test_relit_by_its_lights_the_pictures_come_back(
     made: tuple[Scene, Result, list[Scenery]], loaded: Result
 ) -> None:
@@ -155,21 +145,6 @@ def test_a_ball_throws_its_shadow_away_from_a_lamp() -> None:
     assert np.nonzero(dark)[1].mean() > ball_at + 3
     open_floor = floor & ~dark
     np.testing.assert_array_equal(lit[open_floor], bare[open_floor])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("model", MODELS)
-def test_what_surfaces_bring_makes_pictures_brighter(model: Model) -> None:
-    result = dataclasses.replace(shaded_ball(), model=model)
-    light = np.zeros((16, 3))
-    light[0] = 2 * np.sqrt(np.pi)
-    light[1] = 1.0
-    blocked = relight(result, light)
-    bounced = relight(
-        dataclasses.replace(result, transport=Transport("bounce", "asked for")), light
-    )
-    assert (bounced[result.mask] >= blocked[result.mask] - 1e-5).all()
-    assert np.nanmean(bounced) > 1.01 * np.nanmean(blocked)
 
 
 def test_ids_too_large_for_float32_are_counted_anew() -> None:

@@ -77,23 +77,6 @@ def test_errors_may_be_off_by_the_margin(name: str) -> None:
     assert verdict.deserved(name, 1.001 * rough / verdict.MARGIN) == "not determined"
 
 
-def test_pixels_outside_the_mask_have_no_level_and_no_error() -> None:
-    deviation = deviating(0.05)
-    for values in (deviation.albedo, deviation.roughness, deviation.metallic):
-        values[0, 0] = np.nan
-    assert all(of[0, 0] == 255 for of in verdict.levels(deviation).values())
-    assert all(
-        error == pytest.approx(0.05) for error in verdict.expected_errors(deviation).values()
-    )
-
-
-@pytest.mark.parametrize("name", PARAMETERS)
-def test_one_usable_map_is_something(name: str) -> None:
-    none = {one: Verdict("rough guide", 0.12) for one in PARAMETERS}
-    assert verdict.nothing_usable(none)
-    assert not verdict.nothing_usable(none | {name: Verdict("usable", 0.1)})
-
-
 def test_no_map_is_usable_where_left_out_pictures_are_not_explained() -> None:
     at = EXPLAINED.nearest_picture
     better = dataclasses.replace(EXPLAINED, error=math.nextafter(at, 0))

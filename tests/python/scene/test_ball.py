@@ -145,35 +145,9 @@ def test_an_attached_shadow_tells_nothing_and_a_clipped_side_neither() -> None:
     assert taken.degrees[0] > free.degrees[0]
 
 
-def test_several_balls_are_averaged_and_tell_how_far_they_differ() -> None:
-    images = pictures("matt", 40.0)
-    other = Ball(BALL.x + 2, BALL.y, BALL.radius)
-    both = lights(images, BALL, other)
-    single, moved = lights(images, BALL), lights(images, other)
-    apart = angles_between(single.directions, moved.directions)
-    assert (both.degrees >= apart / 2 - 1e-9).all()
-    between = angles_between(both.directions, single.directions)
-    np.testing.assert_allclose(between, apart / 2, atol=1e-9)
-    assert both.highlights.shape == (5, 2, 2)
-
-
-def test_highlights_are_where_the_ball_is_brightest() -> None:
-    images = pictures("matt", 0.0)
-    places = lights(images, BALL, fov=0.0).highlights[:, 0]
-    for image, (x, y) in zip(images, places, strict=True):
-        inside = np.hypot(*(np.indices(SIZE)[::-1] - np.array([BALL.x, BALL.y])[:, None, None]))
-        best = np.where(inside < BALL.radius - 2, image.mean(axis=-1), 0)
-        assert best[round(y), round(x)] > 0.95 * best.max()
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_picture_in_which_a_ball_shows_no_lamp_is_named(kind: BallKind) -> None:
     images = pictures(kind, 40.0).copy()
     images[2] = 0
     with pytest.raises(InputError, match=r"ball: expected a .* in every picture, found none in c"):
         lights(images, BALL, kind=kind)
-
-
-def test_a_single_picture_of_a_mirror_ball() -> None:
-    found = lights_of_balls(pictures("mirror", 40.0)[:1], None, ("a",), [BALL], 40.0)
-    assert angles_between(found.directions, LAMPS[:1]).max() < 2

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 import pbrfit
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.settings import MEAN_RADIANCE
-from pbrfit.scene.exposure import EXPOSURE_RANGE, LEAST_EXPOSURE, mean_radiance, relative_exposures
+from pbrfit.scene.exposure import EXPOSURE_RANGE, mean_radiance, relative_exposures
 from pbrfit.synthetic import make_scene
 from scene_files import known, lights_of, truth_of
 
@@ -51,18 +51,6 @@ def test_exposures_are_evened_out_beyond_the_range() -> None:
     asked = relative_exposures(with_means(scene, below), equal=True)
     assert asked == pytest.approx(below / below.mean(), rel=1e-12)
     assert relative_exposures(with_means(scene, above), equal=False) is None
-
-
-def test_a_black_picture_is_not_divided_by_zero() -> None:
-    found = relative_exposures(with_means(made(), np.array([1, 1, 0, 1, 1])))
-    assert found == pytest.approx(np.array([1.25, 1.25, LEAST_EXPOSURE, 1.25, 1.25]))
-
-
-def test_pictures_of_no_light_are_left_to_the_objective() -> None:
-    scene = dataclasses.replace(made(), images=np.zeros((N, SIZE, SIZE, 3)), truth=None)
-    assert relative_exposures(scene, equal=True) is None
-    with pytest.raises(pbrfit.InputError, match="images: expected a positive mean radiance"):
-        Objective(scene, equal_exposures=True)
 
 
 def test_the_loss_is_that_of_inverse_square_weights() -> None:

@@ -8,17 +8,15 @@ import logging
 import os
 import shutil
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import tifffile
 from numpy.typing import NDArray
 from PIL import Image, ImageCms
 
-from pbrfit import InputError, Scene, Truth, threads
+from pbrfit import InputError, Scene, Truth
 from pbrfit.acquire.photo import shown_to_network
 from pbrfit.io import images, normal_files
 from pbrfit.io.limits import AT_LEAST, AT_MOST
@@ -80,15 +78,6 @@ def test_formats_colour_and_hashes(tmp_path: Path, form: str) -> None:
     assert scene.inputs == {
         name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in names
     }
-
-
-def test_formats_may_be_mixed(folder: Path) -> None:
-    (folder / "images" / "light_01.exr").unlink()
-    write_png(folder / "images" / "light_01.png", room().images[1])
-    scene = Scene.load(folder)
-    np.testing.assert_allclose(scene.images, room().images, atol=5e-3)
-    assert scene.assumed["color of light_01.png"] == "sRGB (8-bit PNG without a profile)"
-    assert "light_00.exr, light_02.exr" in " ".join(scene.assumed)
 
 
 @pytest.mark.parametrize("toml", ["", 'color_space = "linear"'])
@@ -198,39 +187,6 @@ def test_a_picture_taken_otherwise_than_the_others_is_named(
         assert Scene.load(folder).assumed.get("set") == said
     assert len(caplog.records) == (warned is not None)
     assert warned is None or warned in caplog.text
-
-
-def test_pictures_read_at_once_are_as_read_one_by_one(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    """Bits, warnings and errors, although the last picture is ready first."""
-    paths = [folder / "images" / f"{name}.tif" for name in room().names]
-    for path, image in zip(paths, room().images, strict=True):
-        profile = [(34675, "B", 4, b"none", True)]
-        tifffile.imwrite(path, image, photometric="rgb", extratags=profile)
-        path.with_suffix(".exr").unlink()
-    read = images.read_picture
-
-    def later(path: Path, *options: Any, **placed: Any) -> images.Picture:
-        time.sleep(0.05 * (len(paths) - paths.index(path)))
-        return read(path, *options, **placed)
-
-    monkeypatch.setattr(images, "read_picture", later)
-    found = []
-    for count in (1, 4):
-        monkeypatch.setattr(threads, "processors", lambda count=count: count)
-        caplog.clear()
-        found.append((Scene.load(folder, max_size=12), caplog.messages))
-    (one, said), (four, also_said) = found
-    np.testing.assert_array_equal(one.images, four.images)
-    assert said == also_said
-    assert [path.name in line for path, line in zip(paths, said, strict=True)] == [True] * 3
-    for path in paths[1:]:
-        path.write_bytes(b"damaged")
-    for count in (1, 4):
-        monkeypatch.setattr(threads, "processors", lambda count=count: count)
-        with pytest.raises(InputError, match=r"light_01\.tif"):
-            Scene.load(folder)
 
 
 def test_pictures_as_stored(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -344,22 +300,6 @@ def test_codes_outside_the_range_are_limits_by_channel(folder: Path) -> None:
     assert dataclasses.replace(scene, fov=50.0).limits is None
 
 
-def test_limits_only_where_something_is_used(folder: Path) -> None:
-    codes = grey_codes()
-    write_codes(folder, codes)
-    assert Scene.load(folder).limits is None
-
-    codes[:, 0] = 255  # where the mask is not
-    write_codes(folder, codes)
-    white = np.ones((SIZE, SIZE), bool)
-    white[0] = False
-    write_mask(folder / "mask.png", white)
-    scene = Scene.load(folder)
-    assert scene.limits is None
-    assert "exposure" not in scene.assumed
-    np.testing.assert_array_equal(scene.valid, white)
-
-
 def test_a_picture_of_which_nothing_is_left_is_named(folder: Path) -> None:
     codes = grey_codes()
     codes[1, : SIZE // 2] = 0
@@ -394,19 +334,6 @@ def test_one_clipped_value_bounds_what_it_is_averaged_into(folder: Path) -> None
             )
             expected[picture, rows, columns, channels] = limit
         np.testing.assert_array_equal(known(scene.limits), expected)
-
-
-def test_clipped_floats_are_found_beside_integers(folder: Path) -> None:
-    rng = np.random.default_rng(5)
-    codes = grey_codes()
-    codes[1, 5, 6] = 255
-    write_codes(folder, codes)
-    (folder / "images" / f"{room().names[0]}.png").unlink()
-    image = np.minimum(rng.random((SIZE, SIZE, 3)), 0.8)
-    write_exr(folder / "images" / f"{room().names[0]}.exr", image)
-    scene = Scene.load(folder)
-    np.testing.assert_array_equal(known(scene.limits)[0] == AT_LEAST, image == 0.8)
-    assert np.argwhere(known(scene.limits)[1:]).tolist() == [[0, 5, 6, c] for c in range(3)]
 
 
 @pytest.mark.parametrize("form", ["png", "tif"])
@@ -444,16 +371,6 @@ def in_all_channels(weights: list[NDArray[np.float32]]) -> NDArray[np.float32]:
     return np.broadcast_to(np.stack(weights)[..., None], (LIGHTS, SIZE, SIZE, 3))
 
 
-def test_weights_for_all_pictures_alike(folder: Path) -> None:
-    images.write_exr(folder / "weights.exr", {"Y": some_weights()})
-    scene = Scene.load(folder)
-    np.testing.assert_array_equal(known(scene.weights), in_all_channels([some_weights()] * LIGHTS))
-    assert not scene.valid[3, 4]
-    assert np.count_nonzero(~scene.valid) == 1
-    assert "weights.exr" in scene.inputs
-    assert scene.assumed["weights"].startswith("weights.exr, for all pictures alike: 0 to 2,")
-
-
 def test_weights_for_each_picture_by_name(folder: Path) -> None:
     names = room().names
     own = {name: some_weights() * (i + 1) for i, name in enumerate(names)}
@@ -484,18 +401,6 @@ def test_weights_for_each_picture_by_name(folder: Path) -> None:
         message = rf"expected channel Y, or {names[1]}.Y, or .*, found {names[1]}"
         with pytest.raises(InputError, match=message):
             Scene.load(folder)
-
-
-def test_weights_and_limits_are_apart(folder: Path) -> None:
-    codes = grey_codes()
-    codes[1, 5, 6] = 255
-    write_codes(folder, codes)
-    images.write_exr(folder / "weights.exr", {"Y": some_weights()})
-    scene = Scene.load(folder)
-    np.testing.assert_array_equal(scene.weights, in_all_channels([some_weights()] * LIGHTS))
-    given = known(scene.channel_weights(1, slice(5, 6)))
-    np.testing.assert_array_equal(given[0, 6], 0)
-    np.testing.assert_array_equal(given[0, 7], some_weights()[5, 7])
 
 
 def test_averaged_samples_have_the_weight_of_their_variance(folder: Path) -> None:

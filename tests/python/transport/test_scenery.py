@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pbrfit import InputError, Scene, _core, decompose
 from pbrfit.model.materials import Materials
-from pbrfit.model.reflection import MODELS, Model, render
+from pbrfit.model.reflection import MODELS, Model
 from pbrfit.synthetic.geometry import Box, Plane, rotation
 from pbrfit.transport.decision import Transport
 from pbrfit.transport.scenery import RAYS, Scenery
@@ -245,26 +245,6 @@ def wrong(scene: Scene, materials: Materials, **options: Any) -> Array:
     return worst
 
 
-def in_the_open(scene: Scene, materials: Materials, lights: Array, model: Model) -> Scene:
-    """The same without surroundings."""
-    pictures = render(materials, scene.normals, lights, scene.fov, 1, model=model)
-    return replace(scene, images=pictures, depth=None)
-
-
-@pytest.mark.slow
-@both_models
-def test_known_lights_give_exact_materials_as_in_the_open(model: Model) -> None:
-    """All but the few pixels that end in another minimum, with surroundings and without."""
-    scene, materials, lights = planted(model, "occlusion")
-    among = wrong(scene, materials, transport="occlusion")
-    alone = wrong(in_the_open(scene, materials, lights, model), materials)
-    for error in (among, alone):
-        assert np.median(error) < 1e-12
-        assert np.mean(error > 1e-6) < 0.01
-    # What surroundings do is not to be had from materials.
-    assert np.mean(wrong(scene, materials, transport="none") > 1e-3) > 0.5
-
-
 @pytest.mark.slow
 @both_models
 def test_lights_and_materials_are_found_among_surroundings(model: Model) -> None:
@@ -272,15 +252,6 @@ def test_lights_and_materials_are_found_among_surroundings(model: Model) -> None
     scene, materials, _ = planted(model, "occlusion", 24)
     error = wrong(replace(scene, lighting=None), materials, transport="occlusion")
     assert np.median(error) < 0.01
-
-
-@pytest.mark.slow
-@both_models
-def test_light_that_surfaces_bring_is_known_from_pictures(model: Model) -> None:
-    """To what is left after three reflections, and by fewer rays."""
-    scene, materials, _ = planted(model, "bounce", 24)
-    assert np.median(wrong(scene, materials, transport="bounce")) < 5e-3
-    assert np.median(wrong(scene, materials, transport="occlusion")) > 0.02
 
 
 def test_tables_are_the_same_at_any_number_of_threads_and_of_any_part() -> None:
@@ -338,16 +309,3 @@ def test_unusable_arguments_are_refused_in_one_line(
     with pytest.raises(InputError, match=f"^{message}") as caught:
         core.transfer(*given, **options)
     assert "\n" not in str(caught.value)
-
-
-def test_rays_of_python_meet_the_box_about_them() -> None:
-    core = _core.Surroundings(box(2.0), np.zeros(12, np.uint8))
-    directions = np.vstack([np.eye(3), -np.eye(3)])
-    # Off the edge between both triangles of a face, where rounding may let a ray through.
-    found = core.distances(np.tile([0.5, 0.1, 0.3], (6, 1)), directions)
-    np.testing.assert_allclose(found, [1.5, 1.9, 1.7, 2.5, 2.1, 2.3], rtol=1e-6)
-    assert np.isinf(core.distances(np.array([[0.0, 0, 3]]), np.array([[0.0, 0, 1]]))).all()
-    with pytest.raises(InputError, match=r"^origins: expected"):
-        core.distances(np.full((1, 3), np.nan), np.array([[0.0, 0, 1]]))
-    with pytest.raises(InputError, match=r"^directions: expected unit vectors"):
-        core.distances(np.zeros((1, 3)), np.zeros((1, 3)))
