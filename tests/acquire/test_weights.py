@@ -120,19 +120,6 @@ def test_without_a_gpu_the_processor_is_taken_with_a_warning(
 
 
 @pytest.mark.parametrize(
-    ("options", "expected"),
-    [
-        ({"device": "gpu"}, "device: expected one of auto, cpu, cuda, mps, found 'gpu'"),
-        ({"dtype": "fp16"}, "dtype: expected one of auto, float32, bfloat16, float16, found"),
-        ({"offload": "all"}, "offload: expected one of none, model, sequential, found 'all'"),
-    ],
-)
-def test_an_option_that_there_is_none_of_is_refused(options: dict[str, str], expected: str) -> None:
-    with pytest.raises(InputError, match=expected):
-        weights.placement(**options)
-
-
-@pytest.mark.parametrize(
     "error",
     [
         MemoryError(),

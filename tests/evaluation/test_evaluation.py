@@ -46,16 +46,6 @@ def test_a_worker_that_dies_is_tried_once_more(tmp_path: Path) -> None:
     assert attempts(tmp_path)["bad"] == 2
 
 
-@pytest.mark.parametrize("at_once", [1, 2])
-def test_values_that_no_file_can_hold_are_an_error_of_their_task(
-    tmp_path: Path, at_once: int
-) -> None:
-    tasks = [Task("a", tmp_path, "no JSON"), Task("b", tmp_path)]
-    records = jobs.run(tasks, work, tmp_path, jobs=at_once)
-    assert str(records[0].error).startswith("TypeError: Object of type set")
-    assert records[1].error is None
-
-
 def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
     program = (
         "import sys; from pathlib import Path; from evaluation_tasks import Task, work\n"

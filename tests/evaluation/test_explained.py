@@ -23,7 +23,6 @@ from pbrfit_evaluation import cycles, recipes
 from pbrfit_evaluation.explained import measure
 from pbrfit_evaluation.explained.figures import CHOICES
 from pbrfit_evaluation.explained.measure import (
-    HARMONICS,
     LAMPS,
     NEAR,
     OF_GEOMETRY,
@@ -158,16 +157,3 @@ def test_lamps_are_off_by_distances_and_far_ones_by_angles_alone() -> None:
     assert off.keys() == {"degrees", "near"}
     assert off["near"] == 0
     assert lamps_off(None, true, scene) == {}
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("stand_ins")
-def test_command_for_lamps(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    few = ("--scenes", 1, "--size", SIZE, "--lights", LIGHTS, "--jobs", 1, "--first-seed", 2003)
-    variants = ("--variants", "constant", HARMONICS)
-    assert run("evaluate", "lamps", "--quick", *few, *variants, "--out", out) == 0
-    rows = json.loads((out / "summary.json").read_text(encoding="utf-8"))["rows"]
-    words = [VARIANTS[key].words for key in ("constant", HARMONICS)]
-    assert [row["solver"] for row in rows if row["scenes"]] == words
-    assert (out / "maps-points-shadows.png").is_file()

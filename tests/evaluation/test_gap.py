@@ -96,7 +96,7 @@ def reflected_principled(rho: float, r: float, m: float, n_dot_v: float) -> Arra
 )
 @pytest.mark.parametrize(
     ("rho", "r", "m", "n_dot_v"),
-    [(0.5, 0.6, 0.0, 0.4), (0.8, 0.4, 1.0, 0.9), (0.3, 1.0, 0.3, 0.1), (0.05, 0.8, 0.0, 1.0)],
+    [(0.5, 0.6, 0.0, 0.4), (0.3, 1.0, 0.3, 0.1)],
 )
 def test_quadrature_agrees_with_a_plain_rule(
     of: Any, plain: Any, tolerance: float, rho: float, r: float, m: float, n_dot_v: float

@@ -24,14 +24,13 @@ from pbrfit.model.materials import Materials
 from pbrfit.scene.correction import Correction
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
-from pbrfit_evaluation.heldout import figures, light, measure, sources
+from pbrfit_evaluation.heldout import figures, measure, sources
 from pbrfit_evaluation.heldout.baselines import Baseline, explained_by_kept
 from pbrfit_evaluation.heldout.light import (
-    combination,
     explained_by,
     relative_error,
 )
-from pbrfit_evaluation.heldout.measure import Split, Task, Way, split
+from pbrfit_evaluation.heldout.measure import Task, Way, split
 from pbrfit_evaluation.heldout.public_sets import SETS, Source
 from pbrfit_evaluation.normal_errors import unit
 from scene_files import known, run, truth_of
@@ -89,35 +88,6 @@ def stand_in(scene: Scene, **more: Any) -> Any:
 def room() -> Scene:
     made = make_scene("room", size=SIZE, lights=5, held_out=1, model="paper")
     return replace(made, images=made.images / (1.2 * made.images.max()))
-
-
-def test_folds_are_spread_evenly_and_hold_no_picture_out_twice() -> None:
-    assert split(8, folds=4, fold=1) == Split((0, 1, 3, 4, 5, 6, 7), (2,))
-    assert split(8, 2, 2, 1) == Split((0, 1, 3, 4, 5, 7), (2, 6))
-    for pictures, held_out, folds in ((5, 1, 9), (25, 1, 4), (11, 3, 3)):
-        out = [
-            i
-            for fold in range(min(folds, pictures // held_out))
-            for i in split(pictures, held_out, folds, fold).held_out
-        ]
-        assert len(out) == len(set(out)) == held_out * min(folds, pictures // held_out)
-    with pytest.raises(InputError, match="expected 1 or more and 2 to keep, found 4 of 5"):
-        split(5, 4)
-
-
-def test_light_is_best_in_values_of_the_file() -> None:
-    rng = np.random.default_rng(2)
-    plane, weights = rng.uniform(0.01, 1, (1, 200, 3)), np.ones((200, 3))
-    radiance = 0.7 * plane[0] * rng.lognormal(0, 0.5, (200, 3))
-
-    def solve(target: Array, counted: Array) -> Array:
-        return combination(plane, target, counted)
-
-    of = light.Target(encode_srgb(radiance), radiance, weights, encode_srgb)
-    least = of.left(of.explained(solve))
-    assert least < 0.99 * of.left(of.shown(solve(radiance, weights)))
-    tried = encode_srgb(np.geomspace(0.3, 2, 1000)[:, None, None] * plane)
-    assert least == pytest.approx(((tried - of.values) ** 2).sum(1).min(0).sum(), rel=1e-3)
 
 
 def test_true_materials_explain_pictures(room: Scene) -> None:

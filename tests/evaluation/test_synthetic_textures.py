@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pbrfit.io import images
 from pbrfit.io.color import decode_srgb
-from pbrfit.synthetic import draw, make_scene
+from pbrfit.synthetic import make_scene
 from pbrfit.synthetic.geometry import Plane, rotation
 from pbrfit.synthetic.surfaces import Spots
 from pbrfit_evaluation.rooms import MaterialSet, load_textures
@@ -158,23 +158,3 @@ def test_scene_from_a_folder_of_maps(two_sets: Path) -> None:
     assert np.mean(maps.metallic >= 0.5) > 0.08
     changed = np.abs(maps.albedo - before.albedo).max(axis=-1)
     assert np.mean(changed > 0.01) > 0.5
-
-
-@pytest.mark.slow
-def test_scenes_from_real_maps(shared_data: Path) -> None:
-    folder = shared_data / "pbr_ambientcg"
-    if not folder.is_dir():
-        pytest.skip("no pbr_ambientcg in the shared data")
-    sets = load_textures(folder)
-    names = [one.name for one in sets]
-    assert names == ["bark_Bark014", "metal_Metal055A", "onyx_Onyx003", "rustymetal_Metal053C"]
-    assert all(one.repeats and one.relief for one in sets)
-    metallic = [one.metallic for one in sets]
-    assert metallic[0] == metallic[2] == 0.0
-    assert metallic[1] > 0.99
-    assert 0.4 < metallic[3] < 0.7
-    for seed in range(3):
-        world = draw("detailed", np.random.default_rng(seed), sets)
-        assert sum(isinstance(one, Textured) for one in world.surfaces) > 10
-        view = world.cast(48)
-        assert 0.08 < np.mean(view.materials.metallic >= 0.5) < 0.5

@@ -92,8 +92,9 @@ def test_members_that_differ_by_factor_and_offset_are_the_same_answer() -> None:
     assert np.abs(mean - first).mean() < 0.15
 
 
-@pytest.mark.parametrize("kind", ["z", "ray", "disparity"])
-@pytest.mark.parametrize("suffix", [".exr", ".npy", ".png"])
+@pytest.mark.parametrize(
+    ("kind", "suffix"), [("z", ".exr"), ("z", ".npy"), ("ray", ".png"), ("disparity", ".exr")]
+)
 def test_depth_of_a_file(folder: Path, tmp_path: Path, kind: str, suffix: str) -> None:
     depth, _ = surface()
     views = geometry.view_directions(SIZE, SIZE, FOV)

@@ -29,7 +29,6 @@ from pbrfit.batch.prediction import of_scene
 from pbrfit.batch.scenes import SceneTask, decompose_scene
 from pbrfit.batch.unchanged import kept
 from pbrfit.fit import memory
-from pbrfit.fit.decompose import decompose
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.io import images
 from pbrfit.io.weight_files import write_weights
@@ -320,12 +319,6 @@ def test_read_or_fitted_in_another_way_is_done_again(whole: Path) -> None:
         assert not is_kept(whole, options=replace(OPTIONS, **{name: value})), name
 
 
-def test_a_result_says_what_was_asked_for() -> None:
-    scene = make_scene("room", size=8, lights=4)
-    options = FitOptions(**{**OTHERWISE, "iterations": 1, "refine_normals": "auto"})
-    assert decompose(scene, options).options == options
-
-
 @pytest.mark.parametrize("name", [*FILES, "result.json"])
 @pytest.mark.parametrize("what", ["cut", "gone"])
 def test_a_result_that_is_not_whole_is_made_again(result: Path, name: str, what: str) -> None:
@@ -471,9 +464,3 @@ def test_scenes_wait_for_memory(
     ]
     seconds.sort()
     assert all(end <= begin for (_, end), (begin, _) in pairwise(seconds))
-
-
-def test_what_cannot_be_read_needs_no_memory(tmp_path: Path) -> None:
-    assert (
-        scenes.memory_of(SceneTask(tmp_path / "no", tmp_path, ReadOptions(), FitOptions()), 1) == 0
-    )

@@ -126,44 +126,6 @@ def run(*arguments: str | Path, without: Path | None = None) -> subprocess.Compl
     return subprocess.run(command, env=os.environ | {"PYTHONPATH": path}, check=False, **how)
 
 
-@pytest.mark.slow
-def test_command_reports_a_missing_peer_and_fills_the_pages(tmp_path: Path) -> None:
-    hidden, docs = tmp_path / "hidden", tmp_path / "docs"
-    hidden.mkdir()
-    docs.mkdir()
-    (hidden / "torch.py").write_text("raise ImportError('torch is not here')\n", encoding="utf-8")
-    (tmp_path / "README.md").write_text("", encoding="utf-8")
-    page = docs / "race.md"
-    page.write_text(
-        "<!-- evidence: race/The race -->\n<!-- /evidence -->\n![](evidence/race-times.png)\n",
-        encoding="utf-8",
-    )
-    bench = tmp_path / "machine.json"
-    measured = {"threads": 1, "fma_gflops": 100.0, "memory_gbs": 10.0}
-    bench.write_text(json.dumps({"vector_bits": 256, "measured": [measured]}), encoding="utf-8")
-    ran = run(
-        *("--quick", "--size", "24", "--pictures", "3", "--threads", "1", "--rounds", "2"),
-        *("--machine", bench, "--docs", docs),
-        *("--peers", "numpy, blocks by hand", "torch.compile, automatic"),
-        without=hidden,
-    )
-    assert ran.returncode == 0, ran.stderr
-    assert "ImportError: torch is not here" in ran.stdout
-    found = json.loads((docs / "evidence" / "race.json").read_text(encoding="utf-8"))
-    assert found["command"] == "make bench-peers (24², 3 pictures, 2 rounds)"
-    rows = {row["name"]: row for row in found["rows"]}
-    ours = rows["pbrfit, 1 thread"]["metrics"]
-    other = rows["numpy, blocks by hand, 1 thread"]["metrics"]
-    assert other["times_ours"] == pytest.approx(other["ms"] / ours["ms"])
-    operations = 99 * 3 * 24 * 24 * 3
-    assert ours["of_peak"] == pytest.approx(operations / (ours["ms"] * 1e-3 * 100e9))
-    assert rows["torch.compile, automatic, 1 thread"]["status"] == "ImportError: torch is not here"
-    assert rows["principled, 64², 16 pictures, 1 thread"]["metrics"]["ms"] > 0
-    assert "| **pbrfit** |" in page.read_text("utf-8")
-    assert str(tmp_path) not in page.read_text("utf-8")
-    assert (docs / "evidence" / "race-times.png").read_bytes().startswith(b"\x89PNG")
-
-
 def test_command_wants_figures_for_its_own_numbers_of_threads(tmp_path: Path) -> None:
     bench = tmp_path / "machine.json"
     bench.write_text(json.dumps({"vector_bits": 256, "measured": []}), encoding="utf-8")

@@ -503,17 +503,3 @@ def test_a_small_soft_limit_of_the_stack_is_raised(tmp_path: Path) -> None:
     write_folder(tmp_path / "scene")
     words = "ulimit -S -s 128; $pbrfit decompose scene --out out --iterations 2 --quiet"
     assert in_shell(tmp_path, words) == (0, "", "")
-
-
-@pytest.mark.filterwarnings("default")
-def test_what_libraries_warn_of_stays_off_the_terminal(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def warns(_: Any) -> int:
-        np.float64(1) / np.float64(0)
-        return 0
-
-    write_folder(tmp_path / "scene")
-    monkeypatch.setattr("pbrfit.commands.inspect.run", warns)
-    found = ran("inspect", tmp_path / "scene")
-    assert (found.code, found.err) == (0, "")

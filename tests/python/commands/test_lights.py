@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from balls import COLOR, ball_pictures, far_lamps
-from command_runs import done, ran, refused
+from command_runs import done, refused
 from pbrfit import Scene
 from pbrfit.io.images import read_data
 from pbrfit.model.geometry import angles_between
@@ -149,11 +149,3 @@ def test_options_without_meaning_and_files_of_other_pictures_are_refused(
     (tmp_path / "dome.lp").write_text("1\nx 0 0 1\n")
     expected = "dome.lp: expected a lamp for each of the 3 pictures, found 1"
     assert expected in refused(*convert)
-
-
-def test_a_preview_that_cannot_be_written_leaves_no_lamps(folder: Path, tmp_path: Path) -> None:
-    (tmp_path / "dome.lp").write_text(LP)
-    (tmp_path / "taken").mkdir()
-    found = ran("lights", folder, "--from", tmp_path / "dome.lp", "--preview", tmp_path / "taken")
-    assert found.code == 2
-    assert not (folder / "lights.json").exists()

@@ -15,7 +15,7 @@ from finite_differences import ridders
 from pbrfit import _core
 from pbrfit.model.reflection import MODELS
 from random_pixels import Array
-from shared_system import Seen, System, accuracy, check_best_albedo, check_equations, close, dense
+from shared_system import Seen, System, accuracy, check_equations, close, dense
 
 PIXELS = 150
 """More than are worked on side by side."""
@@ -137,26 +137,6 @@ def test_slopes_are_those_of_differences(kind: Surroundings, pictures: int) -> N
 @every_kind
 def test_normal_equations_are_products_of_derivatives(kind: Surroundings) -> None:
     check_equations(example_of(kind), SOME)
-
-
-@every_kind
-def test_light_equations_are_those_of_the_slow_model(kind: Surroundings) -> None:
-    example = example_of(kind)
-    maps = example.x()[: kind.unknowns * PIXELS]
-    gram, right = example.problem().light_equations(maps)
-    w, omega = example.slopes()[1], example.omega
-    dark = example.targets.copy()
-    if example.bounced is not None:
-        of_material = np.real(example._factors(example.truth))
-        dark -= np.einsum("pcs,psnc->pnc", of_material, example.bounced)
-    close(right, np.einsum("pnc,pck->cnk", omega * dark, w), 1e-12)
-    expected = np.einsum("pnc,pck,pcl->cnkl", omega, w, w)
-    close(gram, expected if kind.weights else expected[:, :1] / 1.0, 1e-12)
-
-
-@every_kind
-def test_best_albedo_is_that_of_least_squares(kind: Surroundings) -> None:
-    check_best_albedo(example_of(kind))
 
 
 @every_kind

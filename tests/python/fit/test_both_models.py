@@ -26,16 +26,15 @@ def room(model: Model, size: int = 16, noise: float = 0.0) -> Scene:
     return make_scene("room", size=size, lights=16, held_out=2, seed=2000, model=model, noise=noise)
 
 
-@both_models
-def test_exact_pictures_give_exact_materials(model: Model) -> None:
-    result = decompose(room(model), solver="gauss-newton", priors=None, uncertainty=False)
+def test_exact_pictures_give_exact_materials() -> None:
+    """Of the paper's model test_solvers.py says it."""
+    result = decompose(room("principled"), solver="gauss-newton", priors=None, uncertainty=False)
     assert max(result.metrics[name] for name in MAPS) <= 1e-5
     assert result.metrics["relight_rmse"] <= 1e-5
 
 
-@both_models
-def test_known_lights_give_exact_materials(model: Model) -> None:
-    result = decompose(known_lights(room(model)), priors=None, uncertainty=False)
+def test_known_lights_give_exact_materials() -> None:
+    result = decompose(known_lights(room("principled")), priors=None, uncertainty=False)
     assert max(result.metrics[name] for name in MAPS) <= 1e-6
 
 

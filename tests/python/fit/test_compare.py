@@ -156,6 +156,24 @@ def test_folds_leave_out_each_picture_at_most_once(pictures: int) -> None:
         assert len(kept) >= max(settings.COMPARE_KEPT_MIN, 0.75 * pictures)
 
 
+def test_pictures_that_say_nothing_are_never_left_out() -> None:
+    for usable in ([3], [0, 7], [1, 2, 5]):
+        for kept, out in compare._folds(usable, 8):
+            assert set(out) <= set(usable)
+            assert len(kept) + len(out) == 8
+    assert not list(compare._folds([3], 8))  # of which two are left out at once
+    assert [out for _, out in compare._folds([3], 4)] == [(3,)]
+    scene = room(12, lights=8)
+    weights = np.ones((8, 12 * 12), np.float32)
+    for silent in range(6):  # but for 31 pixels, of which each shows others
+        weights[silent] = 0
+        weights[silent, 22 * silent : 22 * silent + 31] = 1
+    for pixels, out in ((31, (6, 7)), (32, (0, 7))):
+        weights[0, :pixels] = 1
+        few = replace(scene, weights=weights.reshape(8, 12, 12))
+        assert [out for _, out in compare._Comparison(few, setup())._folds] == [out]
+
+
 def explained(kind: Explanation, errors: Array, rounding: float = 0.0) -> LeftOut:
     """What errors (M, H, W, 3) make of an explanation of pictures of ones."""
     valid = np.ones(errors.shape[1:3], bool)
@@ -250,7 +268,6 @@ def test_nothing_is_compared_where_it_cannot_be_or_all_is_told() -> None:
     ("options", "why"),
     [
         ({"light": "sh"}, "not asked for"),
-        ({"mono_light": True}, "not asked for"),
         ({"iterations": 0}, "not compared with environment light"),
         ({}, "environment light explains the pictures"),
     ],

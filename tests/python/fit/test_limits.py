@@ -128,6 +128,16 @@ def test_whenever_time_is_up_little_is_done_from_there_on(
     assert max(done.values()) <= passes < undisturbed.done / SIZE**2 / 3, done
 
 
+@pytest.mark.parametrize("looks", range(3, 6))
+def test_lbfgsb_ends_before_an_evaluation_or_after_an_iteration(
+    looks: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Clock(monkeypatch, looks)
+    result = fit(**CONFIGURATIONS["lbfgsb"])
+    assert result.status is Status.TIME_LIMIT
+    assert_whole(result)
+
+
 @pytest.mark.parametrize("looks", [0, 1, 6])
 def test_a_limit_while_lights_are_sought_leaves_all_pixels_fitted_under_them(
     looks: int, monkeypatch: pytest.MonkeyPatch

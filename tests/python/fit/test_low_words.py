@@ -72,18 +72,6 @@ def test_small_residuals_keep_their_digits() -> None:
     np.testing.assert_allclose(found, small[PIXELS].swapaxes(0, 1), atol=3e-14)
 
 
-def test_single_pictures_are_double_ones_without_remainders() -> None:
-    example = example_of()
-    single = np.ascontiguousarray(example.targets.swapaxes(0, 1).astype(np.float32))
-    double = list(single.astype(np.float64))
-    mixed = [double[0], single[1], double[2], single[3]]
-    whole = example.problem(images=single).normal_equations(example.x(), PIXELS)
-    for images in (list(single), double, mixed):
-        found = example.problem(images=images).normal_equations(example.x(), PIXELS)
-        for a, b in zip(whole, found, strict=True):
-            np.testing.assert_array_equal(a, b)
-
-
 def pictures() -> list[Array]:
     return list(np.ascontiguousarray(example_of().targets.swapaxes(0, 1)))
 

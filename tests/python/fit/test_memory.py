@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -15,7 +16,9 @@ import pytest
 
 import pbrfit
 from pbrfit._core import InputError
-from pbrfit.fit import memory
+from pbrfit.fit import compare, memory
+from pbrfit.fit.compare import Choice
+from pbrfit.fit.left_out import Explanation
 from pbrfit.fit.memory import FitMemory
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.settings import TRANSPORT_WHOLE_PIXELS_MAX, WHOLE_PIXELS_MAX
@@ -169,6 +172,15 @@ class TestRefiningNormals:
         assert held < both
         write(system / "proc/meminfo", f"MemAvailable: {(held + both) // 2048} kB\n")
         return scene
+
+    def test_is_left_out_where_it_is_optional(
+        self, scene: pbrfit.Scene, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        turned = Choice(Explanation(None, "sh", 0.0, "none", free_normals=True), None)
+        monkeypatch.setattr(compare, "choose", lambda *_, **__: turned)
+        found = pbrfit.decompose(scene, iterations=2, uncertainty=False).refinement
+        assert not found.refined
+        assert re.fullmatch(r"it needs .* of memory, and .* are available", found.why)
 
     def test_is_refused_where_it_was_asked_for(self, scene: pbrfit.Scene) -> None:
         with pytest.raises(InputError, match=r"; refine_normals off needs \d+ MiB less$"):

@@ -6,12 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from pbrfit import Objective, Scene
+from pbrfit.fit import misfit, settings
 from pbrfit.fit.coarse import judged
 from pbrfit.fit.misfit import Misfit
 from pbrfit.synthetic import make_scene
 from scene_kinds import at_truth
+
+Array = NDArray[np.float64]
 
 NOISE = 0.01
 
@@ -57,3 +61,20 @@ def test_what_neighbours_and_pictures_share_is_not_independent() -> None:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_wrong_field_of_view_is_no_noise(seed: int) -> None:
     assert left_at_truth(replace(room(seed), fov=90.0)).design_effect > 2
+
+
+def test_where_nothing_is_left_nothing_is_divided_by(monkeypatch: pytest.MonkeyPatch) -> None:
+    left = left_at_truth(room(size=16, noise=0.0))
+    assert settings.NOISE_VARIANCE_MIN <= left.variance < 1e-13
+    assert np.isfinite([left.design_effect, left.of_likelihood]).all()
+    assert 0 < left.independent_share <= 1
+
+    class Exact:
+        def residuals(self, _: Array, pixels: NDArray[np.uint64]) -> NDArray[np.float32]:
+            return np.zeros((8, len(pixels), 3), np.float32)
+
+    objective = Objective(room(size=16))
+    x = objective.start()
+    assert misfit.variance(objective, np.zeros(256)) == settings.NOISE_VARIANCE_MIN
+    monkeypatch.setattr(objective, "problem", Exact())
+    assert misfit.independent_share(objective, x) == 1

@@ -9,8 +9,11 @@ from numpy.typing import NDArray
 
 import pbrfit
 from pbrfit import Objective, Priors, Result, Scene
+from pbrfit.fit.coarse import Lights, judged
+from pbrfit.fit.pixels import fit_all
 from pbrfit.fit.priors import posterior
 from pbrfit.fit.priors.gaussian import GaussianPrior
+from pbrfit.fit.priors.mixture import fit_prior, with_lights
 from pbrfit.fit.settings import OFFSET_PRECISION_SHARE
 from pbrfit.result.options import SOLVERS, Solver
 from pbrfit.synthetic import make_scene
@@ -105,6 +108,25 @@ def test_segments_that_are_a_pixel_off_bend_no_lights() -> None:
         assert off[name] < 1.5 * true[name] + 0.005, name
 
 
+def by_squares(objective: Objective) -> tuple[Array, Lights]:
+    """X with all materials at their best under the lights of the start, and what that leaves."""
+    x = objective.start()
+    fit_all(objective, x, starts=2)
+    return x, judged(objective, x)
+
+
+@pytest.mark.parametrize("looks", [0, 2, 4, 5])
+def test_time_may_run_out_before_all_pixels_have_a_prior(room: Scene, looks: int) -> None:
+    objective = Objective(room)
+    x, lights = by_squares(objective)
+    before, left = x.copy(), iter([False] * looks)
+    stop = lambda: next(left, True)  # noqa: E731
+    alone = lights.misfit.of_likelihood
+    lit = with_lights(objective, x, 1.0, alone, known(lights.shared), stop)
+    assert fit_prior(objective, lit, 1.0, alone, stop, counted_once=False) is None
+    np.testing.assert_array_equal(x, before)
+
+
 def fitted(scene: Scene, solver: Solver, **options: Any) -> Result:
     return pbrfit.decompose(
         scene,
@@ -163,12 +185,3 @@ def test_perfect_pictures_have_no_use_for_a_prior(room: Scene, solver: Solver) -
     result = pbrfit.decompose(scene, solver=solver, iterations=10, start=truth)
     assert result.metrics["roughness_rmse"] < 0.02
     assert result.metrics["recon_rmse"] < 1e-3
-
-
-@pytest.mark.parametrize("solver", SOLVERS)
-@pytest.mark.parametrize("priors", [Priors(material=0), None, Priors()])
-def test_weight_zero_fits_no_prior(room: Scene, solver: Solver, priors: Priors | None) -> None:
-    scene = room.of_pictures([0, 1, 2])
-    result = pbrfit.decompose(scene, iterations=5, solver=solver, priors=priors)
-    has_one = priors is not None and priors.material != 0
-    assert ("material prior" in [stage.name for stage in result.stages]) == has_one

@@ -142,6 +142,16 @@ def test_what_is_left_out_is_said(
     assert needs(of, **options) == expected
 
 
+def test_deviation_from_grey_by_hand() -> None:
+    assert color_deviation(np.full((2, 4, 3), 7.0)) == 0
+    assert color_deviation(np.zeros((2, 4, 3))) == 0
+    assert color_deviation(np.array([[[1.0, 0, 0]]])) == pytest.approx(np.sqrt(2 / 3), rel=1e-15)
+    assert color_deviation(np.array([[[3.0, 2, 1], [0, 0, 0]]])) == pytest.approx(np.sqrt(2 / 14))
+    lights = np.random.default_rng(1).normal(size=(N, 16, 3))
+    for scale in (1e3, 1e300, 1e-300):
+        assert color_deviation(scale * lights) == pytest.approx(color_deviation(lights), rel=1e-14)
+
+
 @pytest.mark.parametrize(
     ("deviation", "weight"),
     [(0.0, GREY_WEIGHT), (0.999 * NEAR_GREY, GREY_WEIGHT), (1.001 * NEAR_GREY, 0.0), (0.4, 0.0)],

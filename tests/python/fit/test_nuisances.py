@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pbrfit import Objective, Result, Scene, decompose
-from pbrfit.fit import memory, settings
+from pbrfit.fit import settings
 from pbrfit.fit.joint import JointFit, SharedFit, minimize
 from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.misfit import Misfit
@@ -150,20 +150,6 @@ def test_words() -> None:
     assert Camera(62.25, "fitted", 1.1).in_words() == "62.2 ± 1.1 degrees, fitted"
     assert Camera(62.25, "fitted", 12.0).in_words() == "62 ± 12 degrees, fitted"
     assert Camera(0.0, "given").in_words() == "0 degrees, given"
-
-
-@pytest.mark.slow
-def test_tiles_take_the_camera_of_the_subset(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = unknown(room(90.0, size=48))
-    monkeypatch.setattr(memory, "plan", _tiled(memory.plan))
-    found = decompose(scene, refine_normals="off", **FAST)
-    assert any("tiles" in stage.name for stage in found.stages)
-    assert found.fov == pytest.approx(90.0, abs=2.0)
-    assert found.metrics["recon_rmse"] < 0.02
-
-
-def _tiled(plan: Any) -> Any:
-    return lambda *arguments, **options: replace(plan(*arguments, **options), tiled=True)
 
 
 def bent(scene: Scene, numbers: tuple[float, ...]) -> Scene:

@@ -216,16 +216,6 @@ def test_light_equations(
         assert missed <= 1e-6, f"light equations miss by {missed:.3g} of the largest entry"
 
 
-def test_residuals_of_chosen_pixels() -> None:
-    case = Seen(pixels=40)
-    chosen = np.array([39, 0, 7, 7], dtype=np.uint64)
-    found = case.fast().residuals(case.x(), chosen)
-    assert found.dtype == np.float32
-    expected = (case.radiance(case.truth) - case.targets).swapaxes(0, 1)
-    np.testing.assert_allclose(found, expected[:, chosen], atol=1e-6)
-    assert case.fast().residuals(case.x(), chosen[:0]).shape == (5, 0, 3)
-
-
 def test_calls_from_several_python_threads() -> None:
     case = Seen(pixels=2000)
     problem = case.fast(2)
@@ -330,18 +320,6 @@ def test_a_bad_x_is_refused(x: Array, message: str, model: Model) -> None:
         maps = x if len(x) != X.size else x[:100]
         with pytest.raises(InputError, match=f"^maps{message}"):
             problem.light_equations(maps)
-
-
-@pytest.mark.parametrize(
-    ("pixels", "message"),
-    [
-        (np.array([0, 20], dtype=np.uint64), "indices below 20, found 20"),
-        (np.array([1.5]), "an array of uint64"),
-    ],
-)
-def test_bad_pixels_are_refused(pixels: Any, message: str) -> None:
-    with pytest.raises(InputError, match=f"^pixels: expected {message}"):
-        GOOD.fast().residuals(X, pixels)
 
 
 # --- Fork: a child never hangs, whatever its parent did before ---

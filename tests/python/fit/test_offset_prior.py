@@ -115,6 +115,16 @@ def test_sigma_stays_within_its_limits(degrees: float, expected: float) -> None:
     assert settled(TangentOffsetPrior(around(index)), offsets, np.zeros(201)).sigma == expected
 
 
+def test_pixels_without_neighbours_tell_nothing_of_sigma() -> None:
+    index = np.array([[0, -1, 1], [-1, 2, -1]])
+    prior = TangentOffsetPrior(around(index), sigma=0.11)
+    assert len(prior.neighbourhood.pairs) == 0
+    offsets = np.ones((3, 2))
+    assert prior.fitted(offsets, np.ones(3)).sigma == 0.11
+    np.testing.assert_array_equal(prior.conditional(offsets, 1.0)[0], 0)
+    assert (prior.conditional(offsets, 1.0)[1] > 0).all()
+
+
 def test_neighbours_across_an_edge_need_not_be_alike() -> None:
     normals = unit(np.array([[0.0, 0, 1], [0.02, 0, 1], [1.0, 0, 0.2], [1.0, 0.02, 0.2]]))
     weights = Neighbourhood.of(np.arange(4)[None], normals, None).weights

@@ -129,7 +129,7 @@ def test_a_prior_is_minimised_with_the_squares(kind: Kind) -> None:
 
 @pytest.mark.parametrize("kind", KINDS, ids=str)
 def test_the_best_albedo_is_best_and_the_grid_has_what_it_leaves(kind: Kind) -> None:
-    check_best_albedo(Example(kind, 20, 6, noise=0.3))
+    check_best_albedo(Example(kind, 10, 6, noise=0.3))
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=str)
@@ -143,19 +143,6 @@ def test_noise_free_materials_are_found_from_nothing(kind: Kind) -> None:
         assert error.max() < most
         if exact:
             assert squares.max() < 1e-27
-
-
-def test_rounded_targets_move_materials_as_far_as_they_say() -> None:
-    """To first order by A⁻¹JᵀΩ times what was rounded away."""
-    example = Example(known(), 60, 16)
-    jacobian, _ = example.jacobian()
-    matrices, _, _ = example.problem().normal_equations(example.x(), example.everything)
-    rounding = example.targets.astype(np.float32) - example.targets
-    right = np.einsum("pncj,pnc->pj", jacobian, rounding)
-    expected = np.linalg.solve(matrices, right[..., None])[..., 0]
-    found, _ = fit(example, exact=False, starts=2, exact_steps=2)
-    # Squares of residuals of 3e-8, each rounded at 1e-16, tell moves of 1e-11 from rounding.
-    np.testing.assert_allclose(found - example.truth, expected, atol=3e-11)
 
 
 @pytest.mark.parametrize(

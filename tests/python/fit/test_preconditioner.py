@@ -12,6 +12,8 @@ from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.pixels import fit_all
 from pbrfit.fit.preconditioner import Preconditioner
 from pbrfit.synthetic import make_scene
+from scene_files import known
+from scene_kinds import all_pixels
 
 Array = NDArray[np.float64]
 
@@ -40,10 +42,30 @@ def without_prior(objective: Objective, x: Array) -> LightPrior:
     return LightPrior.around(objective, x).of_pixels(objective.pixels)
 
 
+def system(objective: Objective, x: Array) -> Array:
+    mono = objective.layout.light_channels < objective.channels
+    return objective.problem.schur_complement(
+        objective.for_core(x), all_pixels(objective), mono=mono
+    )[0]
+
+
 def preconditioner(objective: Objective, x: Array) -> Preconditioner:
     mono = objective.layout.light_channels < objective.channels
     lights, none = without_prior(objective, x), np.empty(0)
     return Preconditioner.of(objective, x, 1.0, lights, none, {"mono": mono})
+
+
+@each_kind
+def test_of_all_pixels_it_is_the_inverse(scene: Scene, kind: str) -> None:
+    objective = objective_of(scene, kind)
+    x = fitted(objective)
+    found, matrix = preconditioner(objective, x), system(objective, x)
+    assert known(found.basis).shape == (1 if kind == "mono" else 3, PICTURES, 9)
+    rng = np.random.default_rng(1)
+    for _ in range(3):
+        v = rng.normal(size=len(matrix))
+        off = found(matrix @ v) / objective.pixels - v
+        assert off @ matrix @ off < 1e-6 * (v @ matrix @ v)
 
 
 def spread(objective: Objective, x: Array) -> Array:

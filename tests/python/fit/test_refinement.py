@@ -14,7 +14,6 @@ import pytest
 
 from page_reader import Page
 from pbrfit import InputError, Result, Scene, decompose, relight
-from pbrfit.batch.scenes import details
 from pbrfit.export import export_result
 from pbrfit.model.geometry import angles_between
 from pbrfit.model.reflection import render
@@ -214,15 +213,6 @@ def test_the_command_refines_if_need_be_unless_it_is_told_otherwise(
         content = json.loads((out / "result.json").read_text("utf-8"))
         assert content["options"]["refine_normals"] == content["normals"]["asked"] == asked
         assert content["normals"]["why"] == why
-
-
-def test_the_summary_tells_what_was_refined(result: Result) -> None:
-    inside = degrees_of(result.mask)[result.mask]
-    line = (
-        f"\nnormals: refined by {inside.mean():.1f} degrees in the mean, {LARGEST:.1f} at "
-        f"most: {result.refinement.why}"
-    )
-    assert line in "\n".join(details(result))
 
 
 def test_inspect_says_whether_normals_can_be_refined_and_how_far_off_they_are(

@@ -32,7 +32,7 @@ KINDS = (
 @both_models
 @pytest.mark.parametrize("kind", [*KINDS, Surroundings(weights=3)], ids=str)
 def test_of_a_problem(kind: Kind, model: Model) -> None:
-    count = 1500
+    count = 700
     if isinstance(kind, Surroundings):
         kind = dataclasses.replace(kind, model=model)
     make = Among if isinstance(kind, Surroundings) else Example

@@ -18,7 +18,6 @@ from pbrfit.fit import discrepancy, light_modes, settings, uncertainty
 from pbrfit.fit.discrepancy import Discrepancy
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.settings import MEAN_RADIANCE, SAMPLE_USES, SIGMA_MAX
-from pbrfit.io.images import read_channels
 from pbrfit.result.uncertainty import Uncertainty, layer_names
 from pbrfit.result.verdict import PARAMETERS
 from pbrfit.synthetic import make_scene
@@ -81,15 +80,6 @@ def dense_deviations(objective: Objective, x: Array, noise: float) -> tuple[Arra
     return deviations(rows[:, maps], ~held[maps]), deviations(rows, ~held)
 
 
-def stacked(maps: pbrfit.Materials, objective: Objective) -> Array:
-    """(P, D) of maps."""
-    layout = objective.layout
-    columns = [maps.albedo[layout.valid][:, : layout.channels].T, maps.roughness[layout.valid]]
-    if not layout.metallic_known:
-        columns.append(maps.metallic[layout.valid])
-    return np.vstack(columns).T
-
-
 def estimated(objective: Objective, x: Array, **scale: Array) -> Uncertainty:
     """The uncertainty of x without a prior, and by default of a scale that is known."""
     found = discrepancy.find(objective, x)
@@ -145,18 +135,6 @@ def test_noise_has_its_degrees_of_freedom() -> None:
     scene = make_scene("room", size=24, lights=12, held_out=1, noise=0.01, seed=2003)
     objective = Objective(scene)
     assert estimated(objective, at_truth(objective, scene)).noise == pytest.approx(0.01, rel=0.05)
-
-
-def test_a_value_on_a_bound_may_be_off_on_the_other_side() -> None:
-    _, objective, x = scene_and_x()
-    metallic = known(objective.layout.metallic)
-    x[metallic] = 0.0
-    found = estimated(objective, x)
-    inside = objective.layout.valid
-    assert (found.deviation.metallic[inside] > 0).all()
-    assert (found.low.metallic[inside] == 0).all()
-    assert (found.high.metallic[inside] > 0).all()
-    assert np.isnan(found.deviation.metallic[~inside]).all()
 
 
 @pytest.mark.parametrize("light", ["sh", "lamps"])
@@ -251,17 +229,6 @@ def test_shade_is_in_the_deviation_of_albedo_however_many_pictures() -> None:
     assert (expected > 1e-6).all()
 
 
-def test_deviations_grow_with_the_noise_alone() -> None:
-    """Ten times the exposure is ten times the noise in picture units, and nothing else."""
-    scene, objective, x = scene_and_x()
-    brighter = Objective(dataclasses.replace(scene, images=10 * scene.images, truth=None))
-    one, ten = estimated(objective, x), estimated(brighter, x)
-    assert ten.noise == pytest.approx(10 * known(one.noise), rel=1e-5)
-    np.testing.assert_allclose(
-        stacked(ten.deviation, brighter), stacked(one.deviation, objective), rtol=1e-3
-    )
-
-
 @functools.cache
 def with_uncertainty() -> pbrfit.Result:
     scene, objective, x = scene_and_x()
@@ -287,10 +254,3 @@ def test_a_result_folder_keeps_it(tmp_path: Path) -> None:
     assert all(np.isfinite(layer).all() for layer in layers.values())
     content = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
     assert set(content["uncertainty"]["verdicts"]) == set(PARAMETERS)
-
-
-def test_a_result_without_it_has_none(tmp_path: Path) -> None:
-    result = dataclasses.replace(with_uncertainty(), uncertainty=None)
-    result.save(tmp_path / "out")
-    assert pbrfit.Result.load(tmp_path / "out").uncertainty is None
-    assert not any("uncertainty" in name for name in read_channels(tmp_path / "out/materials.exr"))

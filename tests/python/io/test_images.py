@@ -748,7 +748,7 @@ def test_cut_off_files_are_errors(tmp_path: Path, name: str) -> None:
         images.read_picture(path)
     path.write_bytes(data)
     images.read_picture(path)
-    lengths = {*range(0, len(data), max(1, len(data) // 100)), *range(len(data) - 12, len(data))}
+    lengths = {*range(0, len(data), max(1, len(data) // 25)), *range(len(data) - 6, len(data))}
     # Behind the strips of a TIFF may come padding, and a deflated strip ends in 6 bytes (end of
     # block, checksum) that no pixel needs; there a cut may do no harm.
     needed = strips_end(data) - 6 if name.startswith("tif") else len(data)

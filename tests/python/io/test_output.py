@@ -265,12 +265,6 @@ def test_what_comes_into_a_folder_meanwhile_keeps_it(tmp_path: Path) -> None:
     assert not list(tmp_path.glob(".*"))
 
 
-def test_a_place_where_no_file_can_be_made(old: Path) -> None:
-    with pytest.raises(OSError, match=r"expected a place where a file can be made, found: "):
-        new_file(old / "old.txt" / "out.txt").__enter__()
-    assert tree(old) == {"old.txt": "old"}
-
-
 @pytest.mark.parametrize("new", [new_file, new_folder])
 @pytest.mark.parametrize("named", [False, True])
 def test_a_full_disk_is_told_by_name_of_the_output(tmp_path: Path, new: New, named: bool) -> None:

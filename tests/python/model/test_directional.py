@@ -212,24 +212,6 @@ def maps(height: int, width: int, seed: int) -> tuple[Materials, Array]:
     return materials, unit(rng.normal(size=(height, width, 3)) + 2 * UP)
 
 
-@pytest.mark.parametrize("model", MODELS)
-def test_the_same_bits_with_any_number_of_threads_and_one_light_at_a_time(model: Model) -> None:
-    materials, normals = maps(61, 53, 5)
-    _, _, directions = frames(7, 6, 3)
-    colors = np.random.default_rng(7).random((7, 3))
-    given = (materials, normals, directions, colors, 60.0)
-    one = render_directional(*given, threads=1, model=model)
-    assert one.shape == (7, 61, 53, 3)
-    for threads in (0, 2, 5):
-        again = render_directional(*given, threads=threads, model=model)
-        assert again.tobytes() == one.tobytes()
-    alone = [
-        render_directional(materials, normals, d, c, 60.0, model=model)
-        for d, c in zip(directions, colors, strict=True)
-    ]
-    assert np.array(alone).tobytes() == one.tobytes()
-
-
 @pytest.mark.parametrize(
     ("directions", "colors", "message"),
     [

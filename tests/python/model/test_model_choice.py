@@ -6,7 +6,6 @@ import ast
 import dataclasses
 import functools
 import json
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -242,21 +241,3 @@ def test_results_of_other_models_stay(tmp_path: Path, capsys: pytest.CaptureFixt
     assert (out / "result.json").read_bytes() == before
     assert run(*fit, "--model", "principled", "--overwrite") == 0
     assert Result.load(out).model == "principled"
-
-
-@pytest.mark.slow
-def test_in_a_batch_only_the_scene_with_a_result_of_another_model_fails(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for name in ("one", "two"):
-        write_folder(tmp_path / "scenes" / name)
-    one, out = tmp_path / "scenes" / "one", tmp_path / "out"
-    assert run("decompose", one, "--out", out / "one", *FEW, "--model", "principled") == 0
-    capsys.readouterr()
-    fit = ("decompose", tmp_path / "scenes", "--out", out, *FEW, "--model", "paper")
-    assert run(*fit, "--resume") == 1
-    assert f"{out / 'one'}: expected a result of model paper to resume" in capsys.readouterr().err
-    assert Result.load(out / "one").model == "principled"
-    assert Result.load(out / "two").model == "paper"
-    shutil.rmtree(out / "one")
-    assert run(*fit, "--resume") == 0

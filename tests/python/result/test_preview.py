@@ -11,10 +11,9 @@ import pytest
 from pbrfit import Result, Scene, decompose
 from pbrfit.result import differences
 from pbrfit.result.preview import contact_sheet, preview
-from pbrfit.result.sheet import FONT, MARGIN, PANEL_SIDE, Panel, Row, caption_height, sheet
-from pbrfit.result.verdict import LEVELS, MARKS, PARAMETERS, Verdict
+from pbrfit.result.sheet import FONT, MARGIN, PANEL_SIDE, caption_height
+from pbrfit.result.verdict import LEVELS, PARAMETERS, Verdict
 from pbrfit.synthetic import make_scene
-from refined import refined
 from scene_files import known
 
 LINE = caption_height(PANEL_SIDE[0])
@@ -67,46 +66,12 @@ def test_a_preview_is_of_the_box_around_the_mask() -> None:
     assert preview(result, scene).shape[0] - flat.shape[0] == pytest.approx(rows * panels, abs=rows)
 
 
-@pytest.mark.slow
-def test_samples_without_weight_may_be_anything_and_do_not_set_the_exposure() -> None:
-    scene = part(24, 24)
-    weights = np.ones((2, 24, 24))
-    weights[0, :8] = 0
-    previews = []
-    for value in (0.0, 1e6, np.inf, np.nan):
-        images = scene.images.copy()
-        images[0, :8] = value
-        changed = dataclasses.replace(scene, images=images, weights=weights)
-        previews.append(preview(decompose(changed, iterations=1, uncertainty=False), changed))
-        assert np.isfinite(contact_sheet(changed)).all()  # and no warning
-    for found in previews[1:]:
-        rows, columns = np.nonzero((found != previews[0]).any(axis=-1))
-        # Only the samples themselves, which are in the first panel, look different.
-        assert len(rows) > 0
-        assert np.ptp(rows) < PANEL_SIDE[0] / 3
-        assert np.ptp(columns) < PANEL_SIDE[0]
-
-
 def with_verdicts(result: Result, cause: str) -> Result:
     """A result whose maps have all levels."""
     levels = zip(PARAMETERS, LEVELS, strict=True)
     verdicts = {name: Verdict(level, 0.1, cause) for name, level in levels}
     uncertainty = dataclasses.replace(known(result.uncertainty), verdicts=verdicts)
     return dataclasses.replace(result, uncertainty=uncertainty)
-
-
-def test_a_mark_tells_levels_apart_without_its_colour() -> None:
-    shares = []
-    for level in LEVELS:
-        grey = np.full((24, 24, 3), 0.5)
-        row: Row = [Panel("", grey, "word", mark=MARKS[level])]
-        below = sheet([row])[PANEL_SIDE[0] + MARGIN + 4 :]
-        disc = below[: FONT[0], MARGIN : MARGIN + round(0.8 * FONT[0])]
-        shares.append((disc.min(axis=-1) < 128).mean())
-    full, half, ring = shares
-    assert full > half + 0.15
-    assert half > ring + 0.15
-    assert ring > 0.1
 
 
 def test_truth_with_its_errors_and_uncertainty_add_rows() -> None:
@@ -121,16 +86,6 @@ def test_truth_with_its_errors_and_uncertainty_add_rows() -> None:
     # Why a map is no better stands below it, in as many lines as it needs.
     explained = preview(with_verdicts(result, "few lights, all of them from one side"), scene)
     assert explained.shape[0] - height in (note, 2 * note)
-
-
-def test_refined_normals_add_a_row_and_a_key() -> None:
-    scene, result = whole()
-    found, without = preview(refined(result), scene), preview(result, scene)
-    row = PANEL_SIDE[0] + LINE + MARGIN
-    assert row + LINE < found.shape[0] - without.shape[0] < row + 6 * LINE
-    assert preview(refined(result)).shape[0] == found.shape[0] - (
-        without.shape[0] - preview(result).shape[0]
-    )
 
 
 def test_normals_that_face_away_are_orange_and_masked_pixels_grey() -> None:

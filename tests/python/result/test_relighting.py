@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from pbrfit import DirectionalLight, Environment, InputError, PointLight, Result
 from pbrfit.model import panorama
 from pbrfit.result.relighting import turned
 from relit import ball, fitted, shaded_ball, side_lit
-from scene_files import known, room, write_hdr
+from scene_files import known, room
 
 Array = NDArray[np.floating[Any]]
 
@@ -147,12 +146,6 @@ def test_the_light_of_a_picture_gives_its_reconstruction(result: Result) -> None
         with pytest.raises(InputError, match=r"^(light|picture): expected "):
             result.relight(**wrong)
     assert result.verdicts == known(result.uncertainty).verdicts
-
-
-def test_the_file_of_a_panorama_is_a_light(sphere: Result, tmp_path: Path) -> None:
-    write_hdr(tmp_path / "sky.hdr", spot(0.5, 0.3))
-    read = Environment.read(tmp_path / "sky.hdr")
-    np.testing.assert_array_equal(relight(sphere, tmp_path / "sky.hdr"), relight(sphere, read))
 
 
 def test_a_soft_lamp_lets_light_go_out_softly(sphere: Result) -> None:

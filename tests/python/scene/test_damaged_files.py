@@ -287,31 +287,6 @@ def test_held_out_pictures_lie_beside_their_lights(tmp_path: Path, name: str) ->
     refused(lambda _: Scene.load(tmp_path / "scene"), path, "names of pictures beside it")
 
 
-def npy(kind: str, shape: str, body: bytes = bytes(64)) -> bytes:
-    text = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}, }}\n".encode()
-    return b"\x93NUMPY\1\0" + struct.pack("<H", len(text)) + text + body
-
-
-@pytest.mark.parametrize("order", ["C", "F"])
-def test_an_array_is_read_and_its_file_let_go(tmp_path: Path, order: Any) -> None:
-    """It may shrink while it is read; in a process of its own, as of a map the system ends it."""
-    stored = np.asarray(np.arange(6, dtype=np.float16).reshape(2, 3), order=order)
-    np.save(tmp_path / "a.npy", stored)
-    code = f"""
-import contextlib, os, pathlib
-from pbrfit.io import exif, images
-path = pathlib.Path({str(tmp_path / "a.npy")!r})
-@contextlib.contextmanager
-def shrinking():
-    yield
-    os.truncate(path, 0)
-exif.without_warnings = shrinking
-print(images.read_stored(path).tolist())
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.stdout == "[[0.0, 1.0, 2.0], [3.0, 4.0, 5.0]]\n"
-
-
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="limits on processes are those of Unix")
 def test_a_few_hundred_damaged_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

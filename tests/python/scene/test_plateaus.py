@@ -76,14 +76,6 @@ def test_former_codes_repeat_everywhere_and_are_no_plateau() -> None:
     assert found(np.minimum(images, images[0, 0, 0, 0])) is not None
 
 
-@pytest.mark.parametrize("value", [0.0, 1.0])
-def test_constant_pictures_and_black_backgrounds_are_data(value: float) -> None:
-    images = pictures()
-    assert found(np.full_like(images, value)) is None
-    images[:, : SIDE // 2] = 0.0
-    assert found(images) is None
-
-
 def test_what_is_outside_the_mask_does_not_tell() -> None:
     images = pictures()
     images[:, :4] = 7.0

@@ -8,15 +8,17 @@ import logging
 import os
 import shutil
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import tifffile
 from numpy.typing import NDArray
 from PIL import Image, ImageCms
 
-from pbrfit import InputError, Scene, Truth
+from pbrfit import InputError, Scene, Truth, threads
 from pbrfit.acquire.photo import shown_to_network
 from pbrfit.io import images, normal_files
 from pbrfit.io.limits import AT_LEAST, AT_MOST
@@ -189,6 +191,39 @@ def test_a_picture_taken_otherwise_than_the_others_is_named(
     assert warned is None or warned in caplog.text
 
 
+def test_pictures_read_at_once_are_as_read_one_by_one(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Bits, warnings and errors, although the last picture is ready first."""
+    paths = [folder / "images" / f"{name}.tif" for name in room().names]
+    for path, image in zip(paths, room().images, strict=True):
+        profile = [(34675, "B", 4, b"none", True)]
+        tifffile.imwrite(path, image, photometric="rgb", extratags=profile)
+        path.with_suffix(".exr").unlink()
+    read = images.read_picture
+
+    def later(path: Path, *options: Any, **placed: Any) -> images.Picture:
+        time.sleep(0.05 * (len(paths) - paths.index(path)))
+        return read(path, *options, **placed)
+
+    monkeypatch.setattr(images, "read_picture", later)
+    found = []
+    for count in (1, 4):
+        monkeypatch.setattr(threads, "processors", lambda count=count: count)
+        caplog.clear()
+        found.append((Scene.load(folder, max_size=12), caplog.messages))
+    (one, said), (four, also_said) = found
+    np.testing.assert_array_equal(one.images, four.images)
+    assert said == also_said
+    assert [path.name in line for path, line in zip(paths, said, strict=True)] == [True] * 3
+    for path in paths[1:]:
+        path.write_bytes(b"damaged")
+    for count in (1, 4):
+        monkeypatch.setattr(threads, "processors", lambda count=count: count)
+        with pytest.raises(InputError, match=r"light_01\.tif"):
+            Scene.load(folder)
+
+
 def test_pictures_as_stored(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
     """By the option, else by scene.toml; the dark frame too, and what a network is shown."""
     paths = retag(folder, {"light_01": {0x112: 3}, "light_02": {0x112: 6}})
@@ -336,19 +371,6 @@ def test_one_clipped_value_bounds_what_it_is_averaged_into(folder: Path) -> None
         np.testing.assert_array_equal(known(scene.limits), expected)
 
 
-@pytest.mark.parametrize("form", ["png", "tif"])
-def test_integers_that_were_clipped_below_white_are_found(folder: Path, form: str) -> None:
-    """Unless a range of codes is given."""
-    rng = np.random.default_rng(5)
-    for name in room().names:
-        (folder / "images" / f"{name}.exr").unlink(missing_ok=True)
-        codes = np.minimum(rng.integers(20, 240, (SIZE, SIZE, 3)), 150).astype(np.uint8)
-        Image.fromarray(codes).save(folder / "images" / f"{name}.{form}")
-    found = known(Scene.load(folder).limits)
-    np.testing.assert_array_equal(found[-1] == AT_LEAST, codes == 150)
-    assert Scene.load(folder, code_range=(0, 255)).limits is None
-
-
 @pytest.mark.parametrize("limit", [0, AT_LEAST, AT_MOST])
 def test_limits_are_saved_with_the_pictures(tmp_path: Path, limit: int) -> None:
     limits = np.zeros(room().images.shape, np.uint8)
@@ -470,15 +492,6 @@ def test_known_lights_are_found_by_name_and_one_picture_is_enough(folder: Path) 
     np.testing.assert_array_equal(Scene.load(folder).lighting, lights[:1])
 
 
-@pytest.mark.parametrize(
-    "names", [("X", "Y", "Z"), ("R", "G", "B"), tuple("normal." + c for c in "XYZ")]
-)
-def test_channels_of_normals(folder: Path, names: tuple[str, ...]) -> None:
-    channels = {name: room().normals[..., c] for c, name in enumerate(names)}
-    images.write_exr(folder / "normals.exr", channels)
-    np.testing.assert_allclose(Scene.load(folder).normals, room().normals, atol=1e-7)
-
-
 @pytest.mark.parametrize(("kind", "error"), [(np.uint8, 1e-2), (np.uint16, 4e-5)])
 @pytest.mark.parametrize("axes", ["opengl", "directx"])
 def test_normals_png_and_axes(folder: Path, axes: str, kind: Any, error: float) -> None:
@@ -513,15 +526,6 @@ def test_multi_illumination_layout_takes_the_largest_exr_in_the_order_of_numbers
     scene = Scene.load(tmp_path, fov=50)
     assert scene.names == ("dir_0_mip3", "dir_2_mip3", "dir_10_mip3")
     np.testing.assert_array_equal(scene.images[:, 0, 0, 0], [1, 3, 11])
-
-
-def test_names_in_any_script_and_other_files_beside_pictures(tmp_path: Path) -> None:
-    folder = write_folder(tmp_path / "Küche 厨房 🏺")
-    (folder / "images" / "light_00.exr").rename(folder / "images" / "ночь.exr")
-    (folder / "images" / ".DS_Store").write_bytes(b"?")
-    (folder / "images" / "notes.txt").write_text("?")
-    (folder / "images" / ".thumbnails").mkdir()
-    assert Scene.load(folder).names == ("light_01", "light_02", "ночь")
 
 
 def test_near_misses_are_named(folder: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -134,11 +134,10 @@ def test_scene_does_not_depend_on_the_resolution() -> None:
 @pytest.mark.parametrize("fov", [20.0, 90.0, 150.0])
 @pytest.mark.parametrize("kind", ALL_KINDS)
 def test_the_shell_is_closed(kind: str, fov: float) -> None:
-    for seed in range(2):
-        view = build(kind, 24, np.random.default_rng(seed), fov)
-        assert view.segments.min() >= 1
-        assert np.sum(view_directions(24, 24, fov) * view.normals, axis=-1).min() > 0
-        assert view.fov == fov
+    view = build(kind, 24, np.random.default_rng(0), fov)
+    assert view.segments.min() >= 1
+    assert np.sum(view_directions(24, 24, fov) * view.normals, axis=-1).min() > 0
+    assert view.fov == fov
 
 
 def test_bad_scene_arguments() -> None:

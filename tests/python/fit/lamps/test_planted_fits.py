@@ -109,6 +109,12 @@ def test_highlights_tell_how_deep_a_surface_is() -> None:
     assert max(off[1] / 0.8, off[2] / 0.5) < off[0]
 
 
+def test_the_time_of_the_height_is_told() -> None:
+    result = decompose(planted(LAMPS, known=LAMPS, normals_known=False, size=16).scene)
+    assert result.stages[-1].name == "height"
+    assert 0 < sum(stage.seconds for stage in result.stages) <= result.seconds
+
+
 def test_told_strengths_are_relative() -> None:
     brighter = replace(LAMPS, colors=3 * LAMPS.colors)
     one, other = (

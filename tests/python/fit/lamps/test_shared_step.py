@@ -14,6 +14,8 @@ PICTURES, PIXELS, OWN = 12, 9, 4
 EACH = 3
 """Unknowns of a picture; the first two are held to the sphere, the third is of one sum."""
 
+NOWHERE = np.zeros((PICTURES * EACH, 0)), np.zeros((0, PICTURES * EACH))
+
 
 def system(rng: np.random.Generator) -> System:
     """Of Jacobians at random, where each sample sees one picture's unknowns."""
@@ -67,3 +69,15 @@ def test_a_step_solves_the_whole_system(held: bool) -> None:
     np.testing.assert_allclose(found[0], basis @ true[: basis.shape[1]], rtol=1e-6, atol=1e-8)
     np.testing.assert_allclose(found[1].ravel(), true[basis.shape[1] :], rtol=1e-6, atol=1e-8)
     assert (np.abs(slopes @ found[0]) < 1e-8).all()
+
+
+def test_nothing_moves_without_directions_and_a_singular_system_is_told() -> None:
+    given = system(np.random.default_rng(2))
+    found = step_of(*given, *NOWHERE, 0.0)
+    assert found is not None
+    assert not found[0].any()
+    np.testing.assert_allclose(
+        found[1], -np.linalg.solve(given[2], given[4][..., None])[..., 0], rtol=1e-9
+    )
+    shared, gradient, own, mixed, gradients = given
+    assert step_of(shared, gradient, 0 * own, mixed, gradients, *NOWHERE, 0.0) is None

@@ -107,6 +107,15 @@ def test_lamps_in_a_plane_leave_a_part_of_normals_and_that_is_said(known: bool) 
     assert scene.error(start.normals) < 15.0
 
 
+def test_pictures_in_one_channel() -> None:
+    scene = ball(around(9, 40, 10), size=48)
+    start = start_of_unknown_lamps(
+        scene.samples.mean(axis=-1), np.asarray(scene.usable.all(axis=-1)), scene.mask, scene.views
+    )
+    assert start.albedo.shape == (48, 48, 3)
+    assert scene.error(start.normals) < 1.0
+
+
 def test_a_clipped_red_leaves_green_and_blue() -> None:
     """An orange ball whose red is clipped wherever a lamp is near."""
     scene = ball(around(8, 40, 10), size=48)

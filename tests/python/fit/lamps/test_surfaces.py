@@ -10,7 +10,7 @@ import pytest
 from pbrfit.fit.lamps.estimator import first_prior
 from pbrfit.fit.lamps.joint import Freedom
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
-from pbrfit.fit.lamps.sample_noise import NOISE_MIN, Judged, Noise
+from pbrfit.fit.lamps.sample_noise import NOISE_MIN, Noise
 from pbrfit.fit.lamps.surfaces import Band, fit_band
 from pbrfit.fit.settings import MEAN_RADIANCE
 from pbrfit.io.limits import AT_LEAST, AT_MOST
@@ -68,13 +68,6 @@ def test_samples_are_judged_by_the_formulas(proportional: bool) -> None:
         np.testing.assert_allclose(found.weights[p, i], weights, rtol=1e-9)
     assert 0 < dark < found.odds.size
     np.testing.assert_allclose(found.likelihoods, 0, atol=1e-9)
-
-
-def test_weights_are_between_those_in_shadows_and_in_none() -> None:
-    weights = np.array([[[[1.0, 2, 3], [5, 6, 7]]]])
-    judged = Judged(np.zeros((1, 1)), np.zeros(1), weights)
-    for odds, expected in (np.inf, [5, 6, 7]), (-np.inf, [1, 2, 3]), (0.0, [3, 4, 5]):
-        np.testing.assert_allclose(judged.weighed(np.array([[odds]])), [[expected]])
 
 
 METALS, ODD = np.arange(100) % 10 >= 6, np.arange(100) < 50
