@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from acquire.tiny_maps import save_tiny_marigold_iid, save_tiny_rgbx
-from pbrfit import Scene
+from pbrfit import Objective, Scene
 from pbrfit.acquire.marigold import MarigoldIID
 from pbrfit.cli import main
 from pbrfit.io.color import decode_srgb
@@ -150,6 +150,19 @@ def test_a_peer_that_breaks_is_a_failure(
 
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "pytorch.py"
+
+
+@pytest.mark.parametrize(("dtype", "digits"), [(torch.float32, 1e-6), (torch.float64, 1e-12)])
+@pytest.mark.parametrize("mono_light", [False, True])
+def test_its_gradient_takes_part_in_a_graph(dtype: object, digits: float, mono_light: bool) -> None:
+    objective = Objective(make_scene("room", size=8, lights=2), mono_light=mono_light)
+    x = torch.from_numpy(objective.start()).to(dtype).requires_grad_()
+    value, gradient = objective.value_and_grad(x.detach().double().numpy())
+    loss = objective.torch()(x)
+    assert loss.dtype == dtype
+    (3 * loss**2 + x.sum()).backward()
+    np.testing.assert_allclose(loss.item(), value, rtol=digits)
+    np.testing.assert_allclose(x.grad, 6 * value * gradient + 1, rtol=digits)
 
 
 def test_the_example_lowers_the_loss() -> None:

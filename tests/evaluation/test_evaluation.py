@@ -1,4 +1,4 @@
-"""What suites share: records, folders, means, the command, the report, recipes and scores."""
+"""What suites share: records, folders, the report, recipes and scores."""
 
 from __future__ import annotations
 

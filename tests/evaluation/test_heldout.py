@@ -1,4 +1,4 @@
-"""Held-out pictures: splits, light in values of files, baselines, sets, figures and command."""
+"""Held-out pictures: baselines, sets, figures and command."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Texture maps: found by name, averaged, laid on primitives; on small files made here."""
+"""Texture maps: found by name, laid on primitives; on small files made here."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ from batches import (
     statuses,
     tiled_scene,
 )
-from processes import NOBODY, ROOT, as_nobody_special, closed, waiting_at
+from processes import ROOT, as_nobody_special, closed, waiting_at
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="made for Linux")
 
@@ -137,23 +137,6 @@ def test_an_output_that_may_not_be_written_is_one_line_before_the_work(
     found = as_nobody_special(arguments(scenes, out))
     assert found == (2, "", f"pbrfit: {out}: {NO_PLACE}Permission denied\n")
     assert list(out.iterdir()) == []
-
-
-@NEEDS_ROOT
-def test_a_result_that_may_not_be_replaced_stays(scenes: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    assert ended(arguments(scenes, out))[0] == 0
-    before = contents(out)
-    os.chown(out / "s2", NOBODY, NOBODY)
-    (out / "s2").chmod(0o755)
-    code, _, errors = as_nobody_special(arguments(scenes, out, "--overwrite"))
-    assert code == 1
-    assert errors == (
-        f"pbrfit: {out / 's2'}: Permission denied\npbrfit: 1 of 6 scenes failed: {scenes / 's2'}\n"
-    )
-    after = contents(out)
-    assert after.pop("s2") == before.pop("s2")
-    assert all(after[name] != before[name] for name in before)
 
 
 def test_a_worker_that_dies_once_costs_nothing(scenes: Path, tmp_path: Path) -> None:

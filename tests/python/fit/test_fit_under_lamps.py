@@ -244,19 +244,3 @@ def test_a_mirror_that_is_none_leaves_its_start(model: str) -> None:
     assert np.median(cost) < 0.1 * np.median(at_zero)
     assert (cost <= fitted(given, iterations=0)[1]).all()
     assert share(found[:, 6:7], planted[:, 6:7], 1e-3) > 0.2
-
-
-@every_model
-def test_pixels_do_not_know_of_each_other_or_of_threads(model: str) -> None:
-    given, _ = example(300, 10, model, ambient=True)
-    one, two = (of_lamp_samples("fit", given | {"threads": t}) for t in (1, 2))
-    for a, b in zip(one, two, strict=True):
-        np.testing.assert_array_equal(a, b)
-    some = slice(137, 139)
-    own = {
-        name: value[some]
-        for name, value in given.items()
-        if isinstance(value, np.ndarray) and name not in ("picture_of", "ambient")
-    }
-    for a, b in zip(one, of_lamp_samples("fit", given | own), strict=True):
-        np.testing.assert_array_equal(a[some], b)

@@ -1,4 +1,4 @@
-"""Normals as unknowns: where they lie in x, what they are, and that the right ones explain."""
+"""Normals as unknowns: where they lie in x, and that the right ones explain."""
 
 from __future__ import annotations
 

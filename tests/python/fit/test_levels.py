@@ -1,4 +1,4 @@
-"""Levels: strided subsets and even shares of the pixels, and the objective of these alone."""
+"""Levels: the objective of some of the pixels, and lights that are found from these."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The mixture prior on materials, and what it is made of: grid, best albedo, EM, offsets."""
+"""The mixture prior on materials: its gradient, EM, offsets, and what fits gain by it."""
 
 import dataclasses
 from typing import Any

@@ -253,19 +253,12 @@ X = GOOD.x()
 HALVES = np.full((2, 20), 0.5, np.float32)
 
 UNUSABLE: list[tuple[str, Any, str]] = [
-    ("images", GOOD.images[:, :19], ""),
     ("images", GOOD.images[..., :2], "1 or 3 channels"),
     ("images", GOOD.images[:0], "at least one picture and one pixel"),
     ("images", with_entry(GOOD.images, math.nan), "finite numbers, found NaN at 119"),
-    ("normals", GOOD.given[:, :2], ""),
     ("normals", np.zeros((20, 3)), r"unit vectors, found \[0, 0, 0\]"),
     ("normals", 3 * GOOD.given, "unit vectors"),
-    ("views", GOOD.views[:19], ""),
-    ("views", GOOD.views[:, :2], ""),
     ("views", np.zeros((20, 3)), r"unit vectors, found \[0, 0, 0\]"),
-    ("weights", np.ones((2, 19), np.float32), ""),
-    ("weights", np.ones((2, 20, 1), np.float32), ""),
-    ("weights", np.ones(40, np.float32), ""),
     ("weights", 0 * HALVES, "some weight above 0"),
     ("weights", with_entry(HALVES, -1), r"numbers in \[0, 1\], found -1 at 39"),
     ("sh_order", 1, "2 or 3"),
@@ -273,9 +266,6 @@ UNUSABLE: list[tuple[str, Any, str]] = [
     ("metallic", -1e-9, r"numbers in \[0, 1\]"),
     ("metallic", 1 + 1e-9, r"numbers in \[0, 1\]"),
     ("metallic", math.nan, r"numbers in \[0, 1\]"),
-    ("lighting", np.ones((2, 9, 3)), ""),
-    ("lighting", np.ones((2, 16, 1)), ""),
-    ("lighting", np.ones((3, 16, 3)), ""),
 ]
 """An argument, a value, and what the message expects."""
 

@@ -1,4 +1,4 @@
-"""Pictures with outliers: what weights of samples gain, and that some pixels keep them."""
+"""Pictures with outliers: what weights of samples gain."""
 
 from __future__ import annotations
 

@@ -41,18 +41,6 @@ def result() -> Result:
     return refined(decompose(scene(), iterations=5))
 
 
-def test_two_pictures_cannot_determine_normals_and_three_can() -> None:
-    made = scene(3)
-    assert hindrance(made) is None
-    assert hindrance(scene(2)) == "2 pictures do not determine normals, which takes at least 3"
-    lighting = np.ones((1, 16, 3))
-    one = scene(images=made.images[:1], lighting=lighting)
-    assert hindrance(one) == "a single picture does not determine normals, which takes at least 3"
-    # Known lights do not hinder.
-    assert hindrance(scene(lighting=np.ones((3, 16, 3)))) is None
-    assert hindrance(scene(2, lighting=np.ones((2, 16, 3)))) is not None
-
-
 @pytest.mark.parametrize("asked", CHOICES)
 def test_two_pictures_leave_normals_as_given(asked: str, caplog: pytest.LogCaptureFixture) -> None:
     made = scene(2)

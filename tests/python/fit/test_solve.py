@@ -1,4 +1,4 @@
-"""Solvers on whole scenes: accuracy, exposure, starts, the trap at roughness 0."""
+"""Solvers on whole scenes: accuracy, starts, the trap at roughness 0."""
 
 from __future__ import annotations
 

@@ -148,18 +148,6 @@ def test_without_a_matrix_of_the_file_it_follows_from_that_of_xyz(raw: FakeRaw) 
     assert raw_files._matrix(raw) is None
 
 
-@pytest.mark.parametrize(("flip", "place"), [(0, (4, 6)), (3, (7, 9)), (5, (9, 4)), (6, (6, 7))])
-def test_clipped_samples_are_turned_as_the_picture_is(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, flip: int, place: tuple[int, int]
-) -> None:
-    shape = (W, H, 3) if flip & 4 else (H, W, 3)
-    raw = use(monkeypatch, FakeRaw(np.full(shape, 9, np.uint16), flip))
-    raw.raw_image_visible[4, 6] = 1000
-    limits = known(images.read_picture(written(tmp_path)).limits)
-    rows, columns = np.nonzero(limits[..., 0])
-    assert ((rows.min() + rows.max()) / 2, (columns.min() + columns.max()) / 2) == place
-
-
 def test_a_sensor_of_another_shape_leaves_the_developed_codes(raw: FakeRaw, tmp_path: Path) -> None:
     raw.raw_image_visible = np.full((H + 2, W), 1000, np.uint16)
     raw.raw_colors_visible = np.zeros((H + 2, W), np.uint8)

@@ -115,15 +115,6 @@ def test_a_call_that_leaves_it_to_the_default_would_be_found(tmp_path: Path) -> 
     assert calls_without_model(file) == ["some.py:2: render"]
 
 
-@pytest.mark.parametrize("model", MODELS)
-def test_a_scene_folder_keeps_what_rendered_its_pictures(model: Model, tmp_path: Path) -> None:
-    room(model).save(tmp_path / "scene")
-    back = Scene.load(tmp_path / "scene")
-    assert back.model == room(model).model == model
-    assert back.assumed["model"] == f"{model}, with which the pictures were rendered (scene.toml)"
-    assert Objective(back).model == model
-
-
 def test_scene_toml_names_a_model_or_is_refused(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "scene", fov='fov = 60\nmodel = "eq12"')
     with pytest.raises(InputError) as refused:

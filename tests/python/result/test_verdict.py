@@ -18,7 +18,6 @@ from pbrfit import Materials, Result, decompose
 from pbrfit.commands.terminal import verdict_lines
 from pbrfit.fit import compare
 from pbrfit.report import write_report
-from pbrfit.report.verdict import how_to_read
 from pbrfit.result import preview, verdict
 from pbrfit.result.advice import of_verdicts
 from pbrfit.result.sheet import Panel, Row, sheet
@@ -178,13 +177,3 @@ def test_one_verdict_everywhere(
             assert f"{words[0].upper()}{words[1:]}." in chip.text
         assert one.expected_error in page.values
     assert verdict.thresholds()[1:] in page.text
-
-
-def test_causes_are_not_spoken_of_where_there_are_none(result: Result, tmp_path: Path) -> None:
-    good = {name: Verdict("usable", 0.01) for name in PARAMETERS}
-    uncertainty = dataclasses.replace(known(result.uncertainty), verdicts=good)
-    of_good = dataclasses.replace(result, uncertainty=uncertainty)
-    _, chips = chips_of(of_good, tmp_path / "page.html")
-    for name, chip in zip(PARAMETERS, chips, strict=True):
-        assert chip.text.startswith(f"{name}: usableExpected error of {name}: ± 0.01")
-        assert chip.text.endswith(f"{how_to_read()}")

@@ -22,7 +22,9 @@ from fuzz.damage import png_of
 from pbrfit import InputError, Result, Scene, decompose
 from pbrfit.acquire.prompts import read_prompts
 from pbrfit.io import images
+from pbrfit.io.images import read_stored
 from pbrfit.io.quoting import listed, quoted, shown
+from pbrfit.model.depth_normals import from_depth
 from pbrfit.model.lighting import BASIS, Lighting
 from pbrfit.model.materials import read_materials
 from pbrfit.result.history import History
@@ -113,6 +115,36 @@ JPEG_TABLES = b"\xff\xdb\0\x43\0" + bytes([1] * 64)
 def test_few_bytes_hold_few_pixels(tmp_path: Path, name: str, data: bytes, message: str) -> None:
     (tmp_path / name).write_bytes(data)
     refused(images.read_picture, tmp_path / name, message)
+
+
+def test_channels_that_a_few_bytes_cannot_hold_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.exr"
+    plane = np.zeros((2, 2), np.float32)
+    images.write_exr(path, {f"c{k:03}": plane for k in range(20)})
+    data = path.read_bytes()
+    for window in (b"displayWindow", b"dataWindow"):
+        at = data.index(window + b"\0box2i\0") + len(window) + 7 + 4 + 8
+        path.write_bytes(data[:at] + struct.pack("<2i", 4095, 4095) + data[at + 8 :])
+        refused(images.read_channels, path, "samples in|chunk count")
+    # An empty frame around a small crop is no deceit.
+    images.write_exr(path, {"Y": plane})
+    data = path.read_bytes()
+    at = data.index(b"displayWindow\0box2i\0") + 20 + 4 + 8
+    path.write_bytes(data[:at] + struct.pack("<2i", 4095, 2047) + data[at + 8 :])
+    assert images.read_channels(path)["Y"].shape == (2048, 4096)
+
+
+@pytest.mark.parametrize("big", [False, True])
+def test_a_text_longer_than_its_file_is_refused(tmp_path: Path, big: bool) -> None:
+    path = tmp_path / "a.tif"
+    how: dict[str, Any] = {"bigtiff": big, "metadata": None}  # one description, not two
+    tifffile.imwrite(path, np.zeros((4, 4), np.uint8), description="words " * 9, **how)
+    assert images.read_data(path).shape == (4, 4, 1)
+    data = bytearray(path.read_bytes())
+    at = data.index(struct.pack("<2H", 270, 2)) + 4
+    data[at : at + 4] = struct.pack("<I", 2**32 - 1)
+    path.write_bytes(data)
+    refused(images.read_data, path, "a text longer than the file")
 
 
 def test_a_curve_beyond_all_light_is_refused(tmp_path: Path) -> None:
@@ -285,6 +317,54 @@ def test_held_out_pictures_lie_beside_their_lights(tmp_path: Path, name: str) ->
     content = json.loads(path.read_text(encoding="utf-8"))
     path.write_text(json.dumps(content | {"pictures": [name]}), encoding="utf-8")
     refused(lambda _: Scene.load(tmp_path / "scene"), path, "names of pictures beside it")
+
+
+def npy(kind: str, shape: str, body: bytes = bytes(64)) -> bytes:
+    text = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}, }}\n".encode()
+    return b"\x93NUMPY\1\0" + struct.pack("<H", len(text)) + text + body
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"", b"PK\5\6" + bytes(18), b"\x80\4N.", b"\x93NUMPY\1\0\x04\0(((\n",
+        npy("<f4", "(1099511627776,)"), npy("<f4", "(3.5,)"), npy("|O", "(2,)"),
+        npy("<U9", "(1,)"), npy("<f4", "(True, 3)"),
+    ],
+)  # fmt: skip
+def test_arrays_that_are_none(tmp_path: Path, data: bytes) -> None:
+    path = tmp_path / "a.npy"
+    path.write_bytes(data)
+    refused(read_stored, path, "expected an array of real numbers in .npy, found")
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_an_array_is_read_and_its_file_let_go(tmp_path: Path, order: Any) -> None:
+    """It may shrink while it is read; in a process of its own, as of a map the system ends it."""
+    stored = np.asarray(np.arange(6, dtype=np.float16).reshape(2, 3), order=order)
+    np.save(tmp_path / "a.npy", stored)
+    code = f"""
+import contextlib, os, pathlib
+from pbrfit.io import exif, images
+path = pathlib.Path({str(tmp_path / "a.npy")!r})
+@contextlib.contextmanager
+def shrinking():
+    yield
+    os.truncate(path, 0)
+exif.without_warnings = shrinking
+print(images.read_stored(path).tolist())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout == "[[0.0, 1.0, 2.0], [3.0, 4.0, 5.0]]\n"
+
+
+def test_depths_beyond_all_measure_are_not_hit() -> None:
+    depth = np.ones((8, 8))
+    depth[2, 2], depth[5, 5] = 1e-308, 5e-324
+    normals, known = from_depth(depth, fov=50.0)
+    assert np.isfinite(normals).all()
+    assert not known[2, 2]
+    assert known[0, 0]
 
 
 @pytest.mark.slow

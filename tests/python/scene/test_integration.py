@@ -62,6 +62,19 @@ def test_planes_are_exact(normal: Any) -> None:
     assert off(found, depth).max() < 1e-5
 
 
+def test_a_plane_without_perspective_is_exact() -> None:
+    normal = np.array([0.4, -0.2, 1.0]) / np.linalg.norm([0.4, -0.2, 1.0])
+    x = (2 * np.arange(SIZE) + 1 - SIZE) / SIZE
+    depth = 5 + (normal[0] * x + normal[1] * -x[:, None]) / normal[2]
+    normals = np.broadcast_to(normal, (SIZE, SIZE, 3))
+    found = depth_from_normals(normals, 0.0)
+    assert found.min() == pytest.approx(1.0)
+    np.testing.assert_allclose(found, depth - depth.min() + 1, rtol=1e-5)
+    noisy = depth + 0.02 * np.random.default_rng(0).normal(size=depth.shape)
+    fused = depth_from_normals(normals, 0.0, depth=noisy)
+    assert np.abs(fused - depth).max() < 0.003
+
+
 def test_a_sphere_is_right_to_second_order() -> None:
     # The middle between two pixels halves nothing but the third derivative: a quarter the error
     # with half the pixels' width. Near the outline slopes are infinite.

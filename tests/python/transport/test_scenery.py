@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pbrfit import InputError, Scene, _core, decompose
 from pbrfit.model.materials import Materials
-from pbrfit.model.reflection import MODELS, Model
+from pbrfit.model.reflection import MODELS, Model, render
 from pbrfit.synthetic.geometry import Box, Plane, rotation
 from pbrfit.transport.decision import Transport
 from pbrfit.transport.scenery import RAYS, Scenery
@@ -243,6 +243,26 @@ def wrong(scene: Scene, materials: Materials, **options: Any) -> Array:
         ]
     )
     return worst
+
+
+def in_the_open(scene: Scene, materials: Materials, lights: Array, model: Model) -> Scene:
+    """The same without surroundings."""
+    pictures = render(materials, scene.normals, lights, scene.fov, 1, model=model)
+    return replace(scene, images=pictures, depth=None)
+
+
+@pytest.mark.slow
+@both_models
+def test_known_lights_give_exact_materials_as_in_the_open(model: Model) -> None:
+    """All but the few pixels that end in another minimum, with surroundings and without."""
+    scene, materials, lights = planted(model, "occlusion")
+    among = wrong(scene, materials, transport="occlusion")
+    alone = wrong(in_the_open(scene, materials, lights, model), materials)
+    for error in (among, alone):
+        assert np.median(error) < 1e-12
+        assert np.mean(error > 1e-6) < 0.01
+    # What surroundings do is not to be had from materials.
+    assert np.mean(wrong(scene, materials, transport="none") > 1e-3) > 0.5
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""The steps of the start, each against what physics or algebra says of it."""
+"""Steps of the start: which samples count, and what integrability leaves open."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Radiance under lamps: its derivatives against central differences; samples that are bounds."""
+"""Radiance under lamps: its derivatives against central differences, highlights, the scale."""
 
 from __future__ import annotations
 
