@@ -154,6 +154,7 @@ def test_rounding_is_no_error_of_the_scale(error: float, covered: bool) -> None:
 def test_what_jpeg_lost_refutes_no_curve(seed: int) -> None:
     """Both curves leave no more than files did, of which linear values leave less."""
     scene = disturbed("jpeg-90-444", "furnished", seed, 32)
-    found = decompose(scene, refine_normals="off", uncertainty=False, align="off")
+    plain: dict[str, Any] = {"refine_normals": "off", "align": "off", "priors": None}
+    found = decompose(scene, uncertainty=False, light="sh", **plain)
     assert found.held_out is not None
     assert "sRGB values" in found.held_out.chosen

@@ -104,11 +104,8 @@ def nonsense(loss: float, gradient: Array, _: Case) -> tuple[float, Array]:
     [
         ("fast objective", lambda loss, gradient, _: (loss * (1 + 5e-6), gradient), "loss_error"),
         ("fast objective", nonsense, "loss_error"),
-        *(
-            ("fast objective", scaled_block(name, factor), f"{name}_{kind}_error")
-            for name in ("albedo", "roughness", "metallic", "lights")
-            for factor, kind in ((1 + 5e-6, "block"), (math.nan, "entry"))
-        ),
+        ("fast objective", scaled_block("roughness", 1 + 5e-6), "roughness_block_error"),
+        ("fast objective", scaled_block("lights", math.nan), "lights_entry_error"),
         ("fast objective", one_wrong_pixel, "albedo_entry_error"),
         ("accumulated error", scaled_block("lights", 1 + 1e-4), "lights_error_one_sign"),
         ("edges", scaled_block("lights", 1 + 1e-4), "float32_error"),

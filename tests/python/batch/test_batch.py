@@ -199,7 +199,7 @@ def test_what_is_finished_is_kept_and_the_rest_is_done(folder: Path, tmp_path: P
     assert statuses(done(*arguments)) == dict.fromkeys(NAMES, "done")
     before = marks(out)
     shutil.rmtree(out / "one")
-    said = done(*arguments, "--jobs", 2, "--threads", 1, "--quiet")
+    said = done(*arguments, "--threads", 1, "--quiet")
     assert statuses(said) == {"one": "done", "two": "kept", "drei ä 面": "kept"}
     after = marks(out)
     assert after.pop("one") != before.pop("one")

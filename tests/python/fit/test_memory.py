@@ -226,10 +226,12 @@ print(1024 * (peak_kib() - before), said.tables)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not tell the peak")
-@pytest.mark.parametrize(("kind", "model"), [("occlusion", "principled"), ("bounce", "paper")])
-def test_tables_of_surroundings_take_what_is_said(kind: str, model: str) -> None:
+def test_tables_of_surroundings_take_what_is_said() -> None:
     run = subprocess.run(
-        [sys.executable, "-c", TABLES, kind, model], check=True, capture_output=True, text=True
+        [sys.executable, "-c", TABLES, "bounce", "principled"],
+        check=True,
+        capture_output=True,
+        text=True,
     )
     taken, said = map(int, run.stdout.split())
     assert 0.8 * said < taken < 1.25 * said

@@ -41,7 +41,7 @@ from pbrfit.transport.decision import Transport
 from refined import refined
 from relit import shaded_ball
 from result_files import CONTRADICTED
-from scene_files import known, truth_of, write_exr
+from scene_files import known, lights_of, truth_of, write_exr
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -453,6 +453,17 @@ def test_samples_without_weight_are_white_in_the_residual_and_counted(tmp_path: 
     rendered = render(result.materials, result.normals, light[1], result.fov)[5:]
     rmse = np.sqrt(np.mean(np.square(rendered - scene.images[1, 5:])))
     assert min(abs(value - rmse) for value in found.values) <= 1e-9 * rmse
+
+
+def test_grey_pictures_and_one_picture_of_known_light(tmp_path: Path) -> None:
+    made = make_scene("room", size=SIZE, lights=2)
+    grey = np.repeat(made.images[:1, ..., :1], 3, axis=-1)
+    light = np.repeat(lights_of(made)[:1, :, :1], 3, axis=-1)
+    scene = Scene(images=grey, normals=made.normals, lighting=light)
+    result = decompose(scene, iterations=2)
+    found = written(result, tmp_path / "page.html", scene)
+    assert found.all("h1")[0].text == "Materials from one picture"
+    assert len([e for e in found.all("img") if e.attributes["alt"].startswith("Panorama")]) == 1
 
 
 def test_flat_normals_are_doubted(tmp_path: Path) -> None:
