@@ -232,19 +232,23 @@ def test_what_somebody_put_into_a_result_is_not_lost(tmp_path: Path, how: str, o
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="rights are of another kind there")
-def test_a_scene_that_may_not_be_read_fails_alone(tmp_path: Path) -> None:
+def test_scenes_that_may_not_be_read_fail_alone(tmp_path: Path) -> None:
     scenes = tmp_path / "scenes"
-    for name in ("one", "two"):
+    for name in ("one", "three", "two"):
         write_folder(scenes / name)
     (scenes / "lost+found").mkdir()
     closed(scenes / "lost+found")
-    path = closed(scenes / "two" / "images" / "light_00.exr")
+    picture = closed(scenes / "three" / "images" / "light_00.exr")
+    folder = closed(scenes / "two")
     arguments = ["decompose", scenes, "--out", tmp_path / "out", *FEW, "--quiet"]
     code, _, errors = as_nobody_special(arguments)
-    path.chmod(0o755)
+    for path in (picture, folder):
+        path.chmod(0o755)
     assert code == 1
     assert errors == (
-        f"pbrfit: {path}: Permission denied\npbrfit: 1 of 2 scenes failed: {scenes / 'two'}\n"
+        f"pbrfit: {picture}: Permission denied\n"
+        f"pbrfit: {folder / 'images'}: Permission denied\n"
+        f"pbrfit: 2 of 3 scenes failed: {folder.parent / 'three'}, {folder}\n"
     )
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["one"]
 

@@ -39,7 +39,7 @@ def test_known_lights_give_exact_materials() -> None:
 
 
 def test_the_default_fit_learns_a_material_prior_and_comes_near_the_truth() -> None:
-    scene = room("principled", size=24, noise=0.01)
+    scene = room("principled", size=18, noise=0.01)
     result = decompose(scene, refine_normals="off", light="sh", uncertainty=False)
     assert "prior material" not in " ".join(result.left_out)
     assert result.metrics["recon_rmse"] < 0.0105

@@ -170,3 +170,5 @@ def test_a_start_must_cover_the_valid_pixels() -> None:
     start = pbrfit.Materials(maps.albedo, roughness, maps.metallic)
     with pytest.raises(pbrfit.InputError, match=r"^roughness: expected finite"):
         pbrfit.decompose(scene, start=start)
+    with pytest.raises(pbrfit.InputError, match=r"^lighting: expected finite coefficients"):
+        pbrfit.decompose(scene, start=(maps, np.nan * lights_of(scene)))
