@@ -423,7 +423,3 @@ impl<I: Isa> Sums<I> {
         (sum(self.cost), equations)
     }
 }
-
-#[cfg(test)]
-#[path = "../../tests/rust/lamps_samples.rs"]
-mod tests;

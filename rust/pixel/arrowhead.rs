@@ -190,7 +190,3 @@ impl<const C: usize, const U: usize> Arrowhead<C, U> {
         -sum
     }
 }
-
-#[cfg(test)]
-#[path = "../../tests/rust/pixel_arrowhead.rs"]
-mod tests;

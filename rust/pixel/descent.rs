@@ -440,7 +440,3 @@ pub(crate) fn boxed_step<const C: usize, const U: usize, const ALONE: bool>(
     }
     (step, there)
 }
-
-#[cfg(test)]
-#[path = "../../tests/rust/pixel_descent.rs"]
-mod tests;

@@ -39,7 +39,3 @@ fn shorter(length: f64, longest: f64) -> f64 {
         1.0
     }
 }
-
-#[cfg(test)]
-#[path = "../../tests/rust/pixel_offset_step.rs"]
-mod tests;

@@ -437,7 +437,3 @@ fn local_minimum(nodes: &[Doubles], columns: usize, x: usize, rank: usize) -> Op
     minima.sort_by(order);
     minima.get(rank).copied()
 }
-
-#[cfg(test)]
-#[path = "../../tests/rust/pixel_pixel_fit.rs"]
-mod tests;

@@ -114,7 +114,3 @@ fn mixed(seed: u64) -> u64 {
 fn fraction(bits: u64) -> f32 {
     (bits >> 40) as f32 / (1u64 << 24) as f32
 }
-
-#[cfg(test)]
-#[path = "../../tests/rust/transport_sampling.rs"]
-mod tests;

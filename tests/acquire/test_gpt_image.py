@@ -8,7 +8,6 @@ import json
 import logging
 import struct
 import traceback
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +32,6 @@ from pbrfit._core import InputError
 from pbrfit.acquire.generators import Refused, Request
 from pbrfit.acquire.generators.gpt_image import GptImage
 from pbrfit.acquire.photo import Photo, read_photo
-from pbrfit.acquire.prompts import read_prompts
 
 ASK = Request("lamp_left", "Light from a lamp at the left.", "people, text.", 7)
 
@@ -298,13 +296,3 @@ def test_the_key_is_in_no_setting_record_or_log(
     seen = json.dumps([generator.settings(), generated.record]) + repr(generator) + caplog.text
     assert caplog.text
     assert KEY not in seen
-
-
-def test_requests_are_the_catalogues_and_all_have_the_first_seed() -> None:
-    catalogue = read_prompts()
-    requests = GptImage().plan(catalogue, 3, 5)
-    assert [request.seed for request in requests] == [5, 5, 5]
-    assert requests[0].prompt == catalogue.full(catalogue.lighting[0])
-    assert requests[0].negative == catalogue.negative
-    later = replace(catalogue, lighting=catalogue.lighting[1:])  # one in front changes no other
-    assert GptImage().plan(later, 2, 5) == requests[1:]

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
-from unittest.mock import Mock, call
 
 import pytest
 from PIL import Image
@@ -111,43 +110,6 @@ def test_without_a_gpu_the_processor_is_taken_with_a_warning(
     caplog.clear()
     weights.placement("cpu", what="FLUX")  # who asks for it knows
     assert caplog.messages == []
-
-
-def test_a_gpu_that_is_there_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    import torch
-
-    no_gpu(monkeypatch)
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
-    where = weights.placement(offload="sequential")
-    assert where == weights.Placement("cuda", "bfloat16", "sequential")
-    assert where.torch_dtype is torch.bfloat16
-
-
-@pytest.mark.parametrize(
-    ("options", "expected"),
-    [
-        ({"device": "gpu"}, "device: expected one of auto, cpu, cuda, mps, found 'gpu'"),
-        ({"dtype": "fp16"}, "dtype: expected one of auto, float32, bfloat16, float16, found"),
-        ({"offload": "all"}, "offload: expected one of none, model, sequential, found 'all'"),
-    ],
-)
-def test_an_option_that_there_is_none_of_is_refused(options: dict[str, str], expected: str) -> None:
-    with pytest.raises(InputError, match=expected):
-        weights.placement(**options)
-
-
-@pytest.mark.parametrize(
-    ("offload", "expected"),
-    [
-        ("none", call.to("cuda")),
-        ("model", call.enable_model_cpu_offload(device="cuda")),
-        ("sequential", call.enable_sequential_cpu_offload(device="cuda")),
-    ],
-)
-def test_a_pipeline_is_put_where_it_computes(offload: str, expected: object) -> None:
-    pipeline = Mock()
-    weights.place(pipeline, weights.Placement("cuda", "bfloat16", offload), what="FLUX")
-    assert pipeline.mock_calls == [expected]
 
 
 @pytest.mark.parametrize(

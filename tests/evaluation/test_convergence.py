@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import itertools
 import math
-import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,9 +16,8 @@ import pbrfit
 from pbrfit import Materials
 from pbrfit.fit.objective import Objective
 from pbrfit.synthetic import make_scene
-from pbrfit.synthetic.lights import condition
 from pbrfit_evaluation.convergence import figures
-from pbrfit_evaluation.convergence.cases import CASES, Case, Lights, make, trial, true_lighting
+from pbrfit_evaluation.convergence.cases import CASES, Case, make, trial, true_lighting
 from pbrfit_evaluation.convergence.measure import (
     QUANTITIES,
     Budget,
@@ -30,7 +27,7 @@ from pbrfit_evaluation.convergence.measure import (
     measure,
     median_reached,
 )
-from pbrfit_evaluation.convergence.solvers import BY_NAME, Task, fit_with_ours
+from pbrfit_evaluation.convergence.solvers import Task, fit_with_ours
 from pbrfit_evaluation.jobs import Record
 from pbrfit_evaluation.suite import Results, Verdict
 from scene_files import truth_of
@@ -48,29 +45,6 @@ CURVE = (point(0, 0, 1, 0.5), point(1, 3, 4, 0.09), point(2, 6, 8, 0.02), point(
 """Falls below 0.05 and rises again."""
 
 
-def test_pictures_are_those_of_lights_that_differ_or_are_alike() -> None:
-    numbers = []
-    lobes = np.random.default_rng(0).normal(size=(2000, 3))
-    basis = pbrfit.kernel.sh_basis(lobes / np.linalg.norm(lobes, axis=1, keepdims=True))
-    for lights in get_args(Lights):
-        scene = make(replace(SMALL, lights=lights), seed=101)
-        lighting = true_lighting(scene)
-        rendered = pbrfit.kernel.render(truth_of(scene).materials, scene.normals, lighting, 60)
-        np.testing.assert_allclose(scene.images, rendered, rtol=1e-12, atol=1e-14)
-        assert scene.images.mean() == pytest.approx(0.4)
-        assert np.einsum("dk,nkc->dnc", basis, lighting).min() >= -1e-12
-        numbers.append(condition(lighting))
-    assert 300 < numbers[0] < 3000
-    assert numbers[1] == pytest.approx(10 * numbers[0], rel=0.3)
-
-
-def test_noise_is_a_share_of_the_mean_radiance() -> None:
-    clean, noisy = (make(Case("c", 24, noise, "alike"), 100) for noise in (0.0, 0.02))
-    assert np.std(noisy.images - clean.images) == pytest.approx(0.02 * 0.4, rel=0.02)
-    np.testing.assert_array_equal(true_lighting(noisy), true_lighting(clean))
-    np.testing.assert_array_equal(noisy.images, make(Case("c", 24, 0.02, "alike"), 100).images)
-
-
 def test_truth_has_no_errors_and_known_changes_have_known_ones() -> None:
     scene = make(SMALL, 100)
     true, lighting = truth_of(scene).materials, true_lighting(scene)
@@ -86,21 +60,6 @@ def test_truth_has_no_errors_and_known_changes_have_known_ones() -> None:
     assert halved["relight"] == pytest.approx(0.0, abs=1e-12)  # not under lights that were found
     beyond = Materials(true.albedo, true.roughness, np.full_like(true.metallic, 1.0 + 1e-7))
     assert math.isfinite(measure(scene, beyond, lighting)["recon"])
-
-
-def test_checkpoints_are_spread_evenly_over_the_logarithm() -> None:
-    scene = make(SMALL, 100)
-    state = truth_of(scene).materials, true_lighting(scene)
-    tracker = Tracker(partial(measure, scene, threads=1))
-    for evaluations in range(1, 101):
-        tracker.visit(0.5 * evaluations, evaluations - 1, evaluations, lambda: state)
-    tracker.end(60.0, 99, 100, lambda: state)
-    seen = [at["evaluations"] for at in tracker.points]
-    assert seen[:9] == [1, 2, 3, 4, 5, 6, 7, 8, 9]
-    assert seen[-1] == 100
-    assert len(seen) == len(set(seen))
-    assert max(b / a for a, b in itertools.pairwise(seen[8:])) < 1.25
-    assert tracker.points[-1]["seconds"] == 60.0
 
 
 def test_median_counts_never_as_late() -> None:
@@ -135,25 +94,6 @@ def test_the_solver_tells_its_state_with_the_clock_stopped() -> None:
     assert seconds == sorted(seconds)
 
 
-def test_starts_are_those_that_names_say() -> None:
-    scene = make(SMALL, 100)
-    first = {}
-    for name in ("lbfgsb", "lbfgsb-paper"):
-        tracker = Tracker(partial(measure, scene, threads=1))
-        BY_NAME[name].run(scene, Budget(1, 0, 60.0), tracker, 1)
-        first[name] = tracker.points[0]
-    start, lights = Objective(scene).unpack(Objective(scene).start())
-    assert first["lbfgsb"]["recon"] == pytest.approx(measure(scene, start, lights)["recon"])
-    off = truth_of(scene).materials.roughness - 0.5
-    assert first["lbfgsb-paper"]["roughness"] == pytest.approx(math.sqrt(np.mean(off**2)))
-
-
-def test_pictures_that_misfit_are_of_the_other_model() -> None:
-    own, other = (trial(replace(SMALL, misfit=misfit), 100)[0] for misfit in (False, True))
-    assert own.model == other.model == "paper"
-    assert not np.allclose(own.images, other.images, rtol=1e-3)
-
-
 def test_real_pictures_are_judged_by_those_held_out(tmp_path: Path) -> None:
     scene = make_scene("room", size=12, lights=8, held_out=1, seed=3)
     replace(scene, truth=None).save(tmp_path / "room")
@@ -169,29 +109,6 @@ def test_real_pictures_are_judged_by_those_held_out(tmp_path: Path) -> None:
     assert math.isnan(found["albedo"])
     grey = replace(true, albedo=np.full_like(true.albedo, 0.5))
     assert errors(grey, np.zeros((6, 16, 3)))["held_out"] > 0.05
-
-
-def test_measuring_takes_no_processor_seconds() -> None:
-    def slow(*_: Any) -> dict[str, float]:
-        began = time.process_time()
-        while time.process_time() < began + 0.05:
-            pass
-        return {"recon": 1.0}
-
-    tracker = Tracker(slow)
-    tracker.start()
-    state: Any = (None, None)
-    for evaluations in (1, 2, 3, 4):
-        tracker.visit(0.0, 0, evaluations, lambda: state)
-    assert tracker.points[-1]["processor"] < 0.05
-
-
-def test_a_solver_says_why_it_cannot_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    torch = BY_NAME["torch-lbfgs"]
-    assert torch.why_not("principled") == "not run: it knows no model principled"
-    monkeypatch.setattr("pbrfit_evaluation.convergence.solvers.find_spec", lambda _: None)
-    assert torch.why_not("paper") == "not run: torch is not installed"
-    assert BY_NAME["gauss-newton"].why_not("principled") == ""
 
 
 def options(*cases: str, seeds: int = 1, iterations: int = 12) -> argparse.Namespace:
@@ -225,23 +142,6 @@ def test_torch_loss_and_gradient_are_ours() -> None:
     true, true_lights = objective.unpack(x)
     np.testing.assert_allclose(materials.albedo, true.albedo, atol=1e-6)
     np.testing.assert_allclose(lighting, true_lights, rtol=1e-5, atol=1e-6)
-
-
-@pytest.mark.parametrize("name", ["torch-lbfgs", "torch-adam"])
-def test_torch_optimisers_descend_and_count(name: str) -> None:
-    pytest.importorskip("torch")
-    scene = make(SMALL, 100)
-    tracker = Tracker(partial(measure, scene, threads=1))
-    reason = BY_NAME[name].run(scene, Budget(0, 60, 60.0), tracker, 1)
-    first, last = tracker.points[0], tracker.points[-1]
-    assert first["evaluations"] == 1
-    assert 60 <= last["evaluations"] <= 90
-    assert reason.startswith(str(last["evaluations"]))
-    assert last["recon"] < 0.5 * first["recon"]
-    known = [[v for name, v in at.items() if name != "held_out"] for at in tracker.points]
-    assert np.isfinite(known).all()
-    other = Tracker(partial(measure, scene, threads=1))
-    assert "time limit" in BY_NAME[name].run(scene, Budget(0, 10**6, 0.0), other, 1)
 
 
 def record(task: Task, points: Any) -> tuple[Task, Record]:

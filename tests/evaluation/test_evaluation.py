@@ -1,15 +1,10 @@
-"""What suites share: records, folders, means, the command, the report, recipes and scores."""
+"""What suites share: records, folders, the report, recipes and scores."""
 
 from __future__ import annotations
 
-import csv
-import json
-import math
 import os
-import re
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,15 +12,11 @@ import numpy as np
 import pytest
 
 import pbrfit
-import pbrfit_evaluation
 from evaluation_tasks import Task, work
 from pbrfit import InputError, Materials, Result, Scene
-from pbrfit.scene.arrays import Truth
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation import jobs, recipes, scores
 from pbrfit_evaluation.jobs import Record
-from pbrfit_evaluation.report import write_csv
-from pbrfit_evaluation.suite import mean_with_interval
 from processes import alive, until
 from scene_files import known, lights_of, truth_of
 
@@ -53,23 +44,6 @@ def test_a_worker_that_dies_is_tried_once_more(tmp_path: Path) -> None:
     records = jobs.run(tasks, work, tmp_path, jobs=2)
     assert [record.error for record in records] == ["its process died", None, None, None]
     assert attempts(tmp_path)["bad"] == 2
-
-
-def test_who_runs_beside_a_worker_that_dies_is_not_blamed(tmp_path: Path) -> None:
-    tasks = [Task("good", tmp_path, "last at first"), Task("bad", tmp_path, "die")]
-    records = jobs.run(tasks, work, tmp_path, jobs=2)
-    assert [record.error for record in records] == [None, "its process died"]
-    assert attempts(tmp_path)["bad"] == 2
-
-
-@pytest.mark.parametrize("at_once", [1, 2])
-def test_values_that_no_file_can_hold_are_an_error_of_their_task(
-    tmp_path: Path, at_once: int
-) -> None:
-    tasks = [Task("a", tmp_path, "no JSON"), Task("b", tmp_path)]
-    records = jobs.run(tasks, work, tmp_path, jobs=at_once)
-    assert str(records[0].error).startswith("TypeError: Object of type set")
-    assert records[1].error is None
 
 
 def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
@@ -118,19 +92,6 @@ def test_another_task_or_other_code_of_that_name_is_done_again(
     assert attempts(tmp_path) == {"a": 4}  # a broken record is none
 
 
-def test_records_depend_on_the_code_of_both_packages_that_measures() -> None:
-    found = {
-        path.relative_to(Path(package.__file__ or "").parent).as_posix()
-        for package in (pbrfit, pbrfit_evaluation)
-        for path in jobs._measuring(Path(package.__file__ or "").parent)
-    }
-    assert found >= {"fit/decompose.py", "scores.py", "table1/measure.py", "table1/rows.py"}
-    assert any(name.startswith("_core.") for name in found)
-    others = ("report/html.py", "report/viewer", "plots.py", "suite.py", "table1/figures")
-    for name in others:
-        assert not any(path.startswith(name) for path in found), name
-
-
 def test_an_interrupted_run_keeps_what_is_done(tmp_path: Path) -> None:
     tasks = [Task("a", tmp_path), Task("b", tmp_path, "interrupt"), Task("c", tmp_path)]
     with pytest.raises(KeyboardInterrupt):
@@ -138,25 +99,6 @@ def test_an_interrupted_run_keeps_what_is_done(tmp_path: Path) -> None:
     assert [p.name for p in (tmp_path / "records").iterdir()] == ["a.json"]
     jobs.run([tasks[0], Task("b", tmp_path), tasks[2]], work, tmp_path)
     assert attempts(tmp_path) == {"a": 1, "b": 2, "c": 1}
-
-
-def test_mean_and_interval() -> None:
-    values = np.random.default_rng(0).normal(3.0, 0.5, size=400)
-    found = mean_with_interval([*values, math.nan])
-    assert found.count == 400
-    assert found.mean == pytest.approx(values.mean())
-    half = 1.96 * values.std() / 20  # what it tends to for many values
-    assert found.low == pytest.approx(values.mean() - half, abs=0.15 * half)
-    assert found.high == pytest.approx(values.mean() + half, abs=0.15 * half)
-    assert mean_with_interval(list(values)) == found  # the same draws every time
-
-
-def test_csv_keeps_all_digits_and_leaves_gaps_empty(tmp_path: Path) -> None:
-    path = tmp_path / "t.csv"
-    write_csv(path, ("a", "b"), [(0.1 + 0.2, None), (np.float64(1e-9), math.nan), ("x,", 3)])
-    with path.open(newline="", encoding="utf-8") as file:
-        rows = [["0.30000000000000004", ""], ["1e-09", ""], ["x,", "3"]]
-        assert list(csv.reader(file)) == [["a", "b"], *rows]
 
 
 def test_folder_of_a_suite(tmp_path: Path) -> None:
@@ -252,13 +194,6 @@ def test_pixels_outside_the_mask_never_enter(scene: Scene) -> None:
     assert known(found.relight) <= 1e-12
 
 
-def test_scores_without_held_out_pictures(scene: Scene) -> None:
-    truth = truth_of(scene)
-    less = replace(scene, truth=Truth(truth.materials, truth.lighting))
-    found = scores.score(pbrfit.decompose(less, iterations=0, priors=None), less)
-    assert found.relight is None
-
-
 def test_constant_guess_and_paper_start_by_hand(scene: Scene) -> None:
     guess, true = recipes.constant_guess(scene), truth_of(scene).materials
     np.testing.assert_allclose(guess.albedo[3, 4], true.albedo.mean(axis=(0, 1)), rtol=1e-12)
@@ -270,16 +205,6 @@ def test_constant_guess_and_paper_start_by_hand(scene: Scene) -> None:
     assert np.all(start.metallic == 0.1)
     with pytest.raises(InputError, match="expected ground truth"):
         recipes.constant_guess(replace(scene, truth=None))
-
-
-def test_what_has_no_weight_does_not_darken_the_papers_start(scene: Scene) -> None:
-    weights = np.ones(scene.images.shape[:3], dtype=np.float32)
-    weights[0, :5] = 0
-    images = scene.images.copy()
-    images[0, :5] = np.nan
-    start = recipes.paper_start(replace(scene, images=images, weights=weights))
-    mean = np.nanmean(images, axis=0)
-    np.testing.assert_allclose(start.albedo, np.clip(mean * 0.4 / mean.mean(), 0, 1), rtol=1e-6)
 
 
 def test_ways(scene: Scene) -> None:
@@ -294,30 +219,3 @@ def test_ways(scene: Scene) -> None:
     # The paper's recipe and guesses hold normals whatever is asked for.
     assert [result.refinement.asked for result in found] == ["on", "off", "off", "off"]
     assert recipes.DEFAULT.explain(scene, iterations=0).refinement.asked == "off"
-
-
-@pytest.mark.slow
-def test_a_command_interrupted_in_the_middle_can_go_on(tmp_path: Path) -> None:
-    """Ctrl-C reaches parent and workers alike; nothing but whole records is left."""
-    import signal
-
-    out = tmp_path / "out"
-    command = [sys.executable, "-m", "pbrfit", "evaluate", "table1", "--out", str(out)]
-    command += ["--rows", "base", "--size", "16", "--scenes", "40", "--lights", "4", "--jobs", "2"]
-    command += ["--model", "paper"]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
-    for _ in range(600):
-        if len(list(out.glob("records/*.json"))) >= 2:
-            break
-        time.sleep(0.05)
-    os.killpg(process.pid, signal.SIGINT)
-    _, errors = process.communicate(timeout=30)
-    assert process.returncode == 130
-    [done] = re.findall(r"interrupted after (\d+) of 120; --resume goes on from there", errors)
-    assert int(done) >= 2
-    assert "Traceback" not in errors
-    kept = sorted(out.glob("records/*"))
-    assert 2 <= len(kept) < 40
-    for path in kept:
-        assert json.loads(path.read_text("utf-8"))["error"] is None
-    assert [path.name for path in out.iterdir()] == ["records"]

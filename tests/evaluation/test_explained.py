@@ -19,18 +19,13 @@ from evaluation_tasks import depth_off, normals_off, own_room
 from pbrfit.fit.decompose import decompose
 from pbrfit.model.lamps import Lamps
 from pbrfit.scene.scene import Scene
-from pbrfit.synthetic import draw
 from pbrfit_evaluation import cycles, recipes
-from pbrfit_evaluation.cycles.export import export
 from pbrfit_evaluation.explained import measure
 from pbrfit_evaluation.explained.figures import CHOICES
 from pbrfit_evaluation.explained.measure import (
-    GEOMETRY,
-    HARMONICS,
     LAMPS,
     NEAR,
     OF_GEOMETRY,
-    OF_LAMPS,
     ROWS,
     VARIANTS,
     lamps_off,
@@ -73,21 +68,6 @@ def stand_ins(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cycles, "why_not", lambda: None)
 
 
-@pytest.mark.parametrize(
-    ("setups", "light", "transports"),
-    [
-        (GEOMETRY.conditions, "panorama", ["brdf", "shadows", "full", "full"]),
-        (LAMPS.conditions, "points", ["shadows", "brdf"]),
-    ],
-)
-def test_setups_are_rows_of_table_1_by_cycles_with_true_normals(
-    setups: dict[str, str], light: str, transports: list[str]
-) -> None:
-    rows = [TABLE1[ROWS[setup][0]] for setup in setups]
-    assert {(row.renderer, row.light, row.normals) for row in rows} == {("cycles", light, "true")}
-    assert [row.transport for row in rows] == transports
-
-
 def test_the_true_variant_is_told_the_truth(exact: Scene) -> None:
     scene = told(exact, VARIANTS["true"], 2003)
     np.testing.assert_array_equal(scene.depth, exact.depth)
@@ -106,10 +86,6 @@ def test_wrong_depth_is_told_and_rough_depth_is_worse(exact: Scene) -> None:
     network, rough = (told(exact, VARIANTS[key], 2003).depth for key in ("network", "rough"))
     off = [depth_off(depth, exact.depth, exact.valid) for depth in (network, rough)]
     assert 0.005 < off[0] < off[1] < 0.2
-
-
-def test_segments_are_left_out(exact: Scene) -> None:
-    assert told(exact, VARIANTS["unsegmented"], 2003).segments is None
 
 
 def test_integrated_depth_has_the_normals_and_does_not_know_jumps(exact: Scene) -> None:
@@ -152,17 +128,6 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 # ---------------------------------------------------------------------------------------- lamps
 
 
-def test_true_lamps_are_inside_the_room_and_not_in_furniture() -> None:
-    lamps = table1.cycles_lamps(CASE, ROW)
-    assert lamps.near.all()
-    assert lamps.pictures.tolist() == list(range(LIGHTS))
-    [stream] = np.random.SeedSequence(CASE.seed).spawn(1)
-    world = draw(ROW.scene, np.random.default_rng(stream))
-    for mesh in export(world, SIZE, 60.0).meshes[: world.walls]:
-        heights = np.einsum("kvi,vi->kv", lamps.places[:, None] - mesh.vertices, mesh.normals)
-        assert heights.min() >= 0.5  # metres from every wall
-
-
 def test_true_lamps_are_those_that_are_rendered(monkeypatch: pytest.MonkeyPatch) -> None:
     given: list[Any] = []
 
@@ -192,35 +157,3 @@ def test_lamps_are_off_by_distances_and_far_ones_by_angles_alone() -> None:
     assert off.keys() == {"degrees", "near"}
     assert off["near"] == 0
     assert lamps_off(None, true, scene) == {}
-
-
-@pytest.mark.slow
-def test_variants_are_given_what_they_say(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: dict[str, tuple[Scene, Any]] = {}
-
-    def fit(scene: Scene, **options: Any) -> Any:
-        seen[key] = scene, options.get("light")
-        return decompose(replace(scene, lamps=None), refine_normals="off", light="sh", iterations=0)
-
-    monkeypatch.setattr(measure, "room", stand_in)
-    monkeypatch.setattr(recipes, "decompose", fit)
-    for key in OF_LAMPS:
-        measure.run(replace(CASE, way=key), 1)
-    with_depth = {key for key, (scene, _) in seen.items() if scene.depth is not None}
-    assert with_depth == {key for key, variant in OF_LAMPS.items() if variant.depth == "true"}
-    assert [key for key, (scene, _) in seen.items() if scene.lamps is not None] == ["known"]
-    expected = {"sh": "sh", "lamps": "lamps", NEAR: "lamps", "auto-depth": "auto", "known": "lamps"}
-    assert {key: seen[key][1] for key in expected} == expected
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("stand_ins")
-def test_command_for_lamps(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    few = ("--scenes", 1, "--size", SIZE, "--lights", LIGHTS, "--jobs", 1, "--first-seed", 2003)
-    variants = ("--variants", "constant", HARMONICS)
-    assert run("evaluate", "lamps", "--quick", *few, *variants, "--out", out) == 0
-    rows = json.loads((out / "summary.json").read_text(encoding="utf-8"))["rows"]
-    words = [VARIANTS[key].words for key in ("constant", HARMONICS)]
-    assert [row["solver"] for row in rows if row["scenes"]] == words
-    assert (out / "maps-points-shadows.png").is_file()

@@ -96,7 +96,7 @@ def reflected_principled(rho: float, r: float, m: float, n_dot_v: float) -> Arra
 )
 @pytest.mark.parametrize(
     ("rho", "r", "m", "n_dot_v"),
-    [(0.5, 0.6, 0.0, 0.4), (0.8, 0.4, 1.0, 0.9), (0.3, 1.0, 0.3, 0.1), (0.05, 0.8, 0.0, 1.0)],
+    [(0.5, 0.6, 0.0, 0.4), (0.3, 1.0, 0.3, 0.1)],
 )
 def test_quadrature_agrees_with_a_plain_rule(
     of: Any, plain: Any, tolerance: float, rho: float, r: float, m: float, n_dot_v: float
@@ -114,17 +114,6 @@ def test_white_furnace_of_the_principled_integral(r: float, n_dot_v: float) -> N
         weights = exact.weights(np.ones(3), np.array(metallic))
         assert 2 * math.sqrt(math.pi) * weights[0, 0] == pytest.approx(1, abs=1e-12)
     assert exact.albedo < 1 + 1e-6  # without light between facets
-
-
-@pytest.mark.parametrize("r", [0.02, 0.1, 0.3, 0.5, 0.8, 1.0])
-@pytest.mark.parametrize("n_dot_v", [0.02, 0.2, 0.7, 1.0])
-@pytest.mark.parametrize("of", [respond, principled.respond])
-def test_stated_error_covers_a_much_finer_rule(of: Any, r: float, n_dot_v: float) -> None:
-    found, finer = of(r, n_dot_v, nodes=48), of(r, n_dot_v, nodes=120)
-    for name in ("base", "grazing", "diffuse" if of is respond else "glass"):
-        change = np.abs(getattr(found, name) - getattr(finer, name)).max()
-        assert change <= found.error + 1e-9
-    assert found.error < 2e-5
 
 
 @pytest.mark.parametrize("n_dot_v", [0.1, 0.6, 1.0])
@@ -151,22 +140,6 @@ def test_a_perfect_model_has_no_gap_and_a_brighter_one_its_own(own: measure.Refe
     assert (of["exact"]["error"] / signal).max() < 1e-14
     np.testing.assert_allclose(of["brighter"]["found"], 1.5 * true)
     np.testing.assert_allclose(of["brighter"]["error"], 0.5 * signal)
-
-
-def test_sphere_error_is_that_of_many_turned_lights() -> None:
-    """The formula against drawn lights: rendered errors of one ring, the light turned around."""
-    rng = np.random.default_rng(0)
-    difference = rng.normal(size=(1, 1, 3, 16))
-    light = rng.normal(size=(1, 16, 3))
-    found = measure.rms_radiance(difference, np.ones(1), measure.band_power(light))[0]
-    directions = reference.unit(rng.normal(size=(64, 3)))
-    basis = reference.sh_basis(directions)
-    squared = []
-    for _ in range(300):
-        turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-        turned = np.linalg.lstsq(basis, reference.sh_basis(directions @ turn) @ light[0], None)[0]
-        squared.append(np.einsum("ck,kc->c", difference[0, 0], turned) ** 2)
-    assert found == pytest.approx(math.sqrt(np.mean(squared)), rel=0.12)
 
 
 @pytest.mark.parametrize(("r", "n_dot_v"), [(0.0, 0.5), (0.5, 0.0), (1.1, 0.5), (math.nan, 0.5)])

@@ -1,4 +1,4 @@
-"""Held-out pictures: splits, light in values of files, baselines, sets, figures and command."""
+"""Held-out pictures: baselines, sets, figures and command."""
 
 from __future__ import annotations
 
@@ -18,31 +18,26 @@ from scipy.io import loadmat, savemat
 from evaluation_tasks import recorded
 from pbrfit._core import InputError
 from pbrfit.io import images
-from pbrfit.io.color import decode_srgb, encode_srgb
+from pbrfit.io.color import encode_srgb
 from pbrfit.model.geometry import angles_between
 from pbrfit.model.materials import Materials
-from pbrfit.model.reflection import render_directional
 from pbrfit.scene.correction import Correction
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
-from pbrfit_evaluation.diligent import figures as diligent
-from pbrfit_evaluation.heldout import figures, light, measure, sources
-from pbrfit_evaluation.heldout.baselines import Baseline, explained_by_kept, known_lamps
+from pbrfit_evaluation.heldout import figures, measure, sources
+from pbrfit_evaluation.heldout.baselines import Baseline, explained_by_kept
 from pbrfit_evaluation.heldout.light import (
-    ambient_terms,
-    combination,
     explained_by,
     relative_error,
 )
-from pbrfit_evaluation.heldout.measure import Split, Task, Way, split
-from pbrfit_evaluation.heldout.public_sets import SETS, Source, sphere_normals
+from pbrfit_evaluation.heldout.measure import Task, Way, split
+from pbrfit_evaluation.heldout.public_sets import SETS, Source
 from pbrfit_evaluation.normal_errors import unit
 from scene_files import known, run, truth_of
 
 Array = NDArray[np.float64]
 
 SIZE, LAMPS = 20, 8
-EVERY = np.ones((SIZE, SIZE), bool)
 
 
 def lamps() -> Array:
@@ -95,75 +90,12 @@ def room() -> Scene:
     return replace(made, images=made.images / (1.2 * made.images.max()))
 
 
-def test_folds_are_spread_evenly_and_hold_no_picture_out_twice() -> None:
-    assert split(8, folds=4, fold=1) == Split((0, 1, 3, 4, 5, 6, 7), (2,))
-    assert split(8, 2, 2, 1) == Split((0, 1, 3, 4, 5, 7), (2, 6))
-    for pictures, held_out, folds in ((5, 1, 9), (25, 1, 4), (11, 3, 3)):
-        out = [
-            i
-            for fold in range(min(folds, pictures // held_out))
-            for i in split(pictures, held_out, folds, fold).held_out
-        ]
-        assert len(out) == len(set(out)) == held_out * min(folds, pictures // held_out)
-    with pytest.raises(InputError, match="expected 1 or more and 2 to keep, found 4 of 5"):
-        split(5, 4)
-
-
-def test_light_is_best_in_values_of_the_file() -> None:
-    rng = np.random.default_rng(2)
-    plane, weights = rng.uniform(0.01, 1, (1, 200, 3)), np.ones((200, 3))
-    radiance = 0.7 * plane[0] * rng.lognormal(0, 0.5, (200, 3))
-
-    def solve(target: Array, counted: Array) -> Array:
-        return combination(plane, target, counted)
-
-    of = light.Target(encode_srgb(radiance), radiance, weights, encode_srgb)
-    least = of.left(of.explained(solve))
-    assert least < 0.99 * of.left(of.shown(solve(radiance, weights)))
-    tried = encode_srgb(np.geomspace(0.3, 2, 1000)[:, None, None] * plane)
-    assert least == pytest.approx(((tried - of.values) ** 2).sum(1).min(0).sum(), rel=1e-3)
-
-
-def test_curve_undoes_what_a_fit_corrected(tmp_path: Path) -> None:
-    [source] = sources.find_sources(write_set(tmp_path / "bump", "MIT"))
-    scene = sources.opened(source, SIZE).scene
-    seen = scene.through(40.0, Correction(0.3, (0.2, -0.1, 0.15)))
-    of = light.target(seen, 2, EVERY, light.curve_of(seen))
-    assert np.abs(of.radiance - scene.images[2].reshape(-1, 3)).max() > 0.05
-    np.testing.assert_allclose(of.shown(of.radiance), of.values, rtol=1e-4)
-
-
 def test_true_materials_explain_pictures(room: Scene) -> None:
     assert relative_error(explained_by(stand_in(room), room, (1, 4))) < 1e-5
     wrong = stand_in(room, model="principled")
     assert relative_error(explained_by(wrong, room, (1, 4))) > 1e-3
     half = stand_in(room, mask=room.valid & (np.arange(SIZE) < SIZE // 2))
     assert 0.3 < relative_error(explained_by(half, room, (1, 4))) < 1
-
-
-def test_pictures_are_judged_by_the_curve_that_a_fit_chose(room: Scene) -> None:
-    misread = replace(room, images=decode_srgb(room.images), response="srgb")
-    errors = [
-        relative_error(explained_by(stand_in(room, camera=camera), misread, (1, 4)))
-        for response in (None, "linear")
-        for camera in [SimpleNamespace(response=response, correction=None)]
-    ]
-    assert errors[0] > 0.02
-    assert errors[1] < 1e-5
-
-
-def test_light_is_of_the_kind_that_a_result_has(room: Scene) -> None:
-    maps = stand_in(room).materials
-    toward = unit(np.array([0.3, 0.2, 0.9]))
-    picture = render_directional(maps, room.normals, toward, np.full(3, 0.4), room.fov)
-    lit = replace(room, images=np.stack([picture, picture]), truth=None, names=())
-    under = stand_in(room, lamps="some", lighting=np.zeros((2, 16, 3)))
-    assert ambient_terms(under) == 0
-    assert ambient_terms(stand_in(room)) == 1
-    own = relative_error(explained_by(under, lit, (0,)))
-    lamp = relative_error(explained_by(stand_in(room), lit, (0,), "lamp"))
-    around = relative_error(explained_by(stand_in(room), lit, (0,)))
-    assert max(own, lamp) < 0.02 < around
 
 
 @pytest.mark.parametrize("linear", [False, True])
@@ -185,33 +117,6 @@ def test_matt_pictures_are_explained_however_their_files_are_encoded(
     exact = ("lambert", "lambert-known", "lambert-trimmed", "sum", "ptm")
     assert max(errors[way] for way in exact) < 1e-3
     assert max(errors["hsh"], errors["pca"]) < errors["nearest"] < 0.5
-
-
-@pytest.mark.parametrize("trim", [False, True])
-def test_samples_without_weight_and_black_pixels_tell_no_normal(trim: bool) -> None:
-    strengths = np.linspace(0.6, 1.1, LAMPS)[:, None, None]
-    samples, weights = matt().reshape(LAMPS, -1, 3) / strengths, np.ones((LAMPS, SIZE**2, 3))
-    samples[2, 1], weights[2, 1] = 50.0, 0.0
-    samples[:, 5] = 0
-    samples[0, 7], samples[3, 7] = 9.0, 0.0  # a highlight, a cast shadow
-    normals, albedo = known_lamps(samples, weights, lamps(), trim=trim)
-    expected = cap().reshape(-1, 3)
-    expected[5] = 0, 0, 1
-    others = np.arange(SIZE**2) != 7
-    np.testing.assert_allclose(normals[others], expected[others], atol=1e-6)
-    np.testing.assert_array_equal(albedo[5], 0)
-    assert (float(angles_between(normals[7], expected[7])) < 1e-3) == trim
-
-
-def test_sphere_normals() -> None:
-    y, x = np.indices((60, 80))
-    disc = (x - 40) ** 2 + (y - 30) ** 2 <= 25.5**2
-    normals, valid = sphere_normals(disc, "mask.png")
-    assert normals[20, 55] == pytest.approx([15 / 25.5, 10 / 25.5, 0.707], abs=2e-3)
-    assert valid[30, 64]
-    assert not valid[30, 65]
-    with pytest.raises(InputError, match=r"mask\.png: expected the disc of a sphere, found"):
-        sphere_normals(disc & (x < 40), "mask.png")
 
 
 def test_sets_are_found_below_a_folder(tmp_path: Path) -> None:
@@ -339,17 +244,6 @@ def test_a_fit_is_told_nothing_and_sees_no_held_out_picture(
     np.testing.assert_allclose(scene.images[0], encode_srgb(matt()[0]), atol=1e-4)
 
 
-def test_a_way_says_what_it_lacks(tmp_path: Path) -> None:
-    folder = write_set(tmp_path / "bump", "MIT")
-    (folder / "set.json").unlink()
-    (folder / "scene.toml").write_text('color_space = "linear"\n', encoding="utf-8")
-    [source] = sources.find_sources(folder)
-    assert measure.run(task(source, "linear"), 1) == {"not_possible": "the encoding is known"}
-    for way in ("lambert-known", "directions"):
-        said = measure.run(task(source, way), 1)
-        assert said == {"not_possible": "nobody knows the lamps"}
-
-
 def found(error: float) -> dict[str, Any]:
     chosen = {"light": "lamps", "response": None}
     scores = [{"name": "0", "samples": 4, "rms": 1.0, "rmse": error}]
@@ -416,12 +310,3 @@ def test_diligent_writes_normals_and_holds_ways_against_each_other(tmp_path: Pat
     written = loadmat(out / "catPNG-lambert-known.mat")["Normal_est"]
     np.testing.assert_allclose(written, cap(), atol=1e-3)
     assert (out / "errors-catPNG.png").is_file()
-
-
-def test_to_be_told_more_must_make_nothing_worse() -> None:
-    source, ways = Source("cat", Path("cat"), "scene", 8, ""), diligent.WAYS
-    angles = dict(zip(ways, (7.8, 8.0, 8.1, 9.0, 7.9), strict=True))
-    pairs = [(task(source, way, keep=8), {"normals": {"mean": angles[way]}}) for way in ways]
-    found = diligent.verdicts(recorded(*pairs, effort="full"), None)
-    assert [one.holds for one in found] == [True, True, False]
-    assert not list(diligent.verdicts(recorded(*pairs, effort="quick"), None))

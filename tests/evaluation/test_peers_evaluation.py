@@ -17,17 +17,6 @@ def test_peers_are_shown_the_most_evenly_lit_picture() -> None:
     assert measure.evenly_lit(dataclasses.replace(room(), images=images)) == 2
 
 
-def test_the_picture_is_exposed_for_a_screen() -> None:
-    dark = dataclasses.replace(room(), images=np.float32(1e-3) * room().images)
-    for picture in range(3):
-        shown = measure.shown_picture(dark, picture)
-        np.testing.assert_array_equal(shown, measure.shown_picture(room(), picture))
-        image = room().images[picture]
-        white = np.percentile(image, 98)
-        assert (shown[image >= white] == 255).all()
-        assert (shown[image < 0.98 * white] < 255).all()
-
-
 def task(seed: int) -> measure.Task:
     return measure.Task("own", "pbrfit", seed, 24, lights=8)
 

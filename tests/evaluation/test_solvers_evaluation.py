@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-
-import pytest
 
 from evaluation_tasks import recorded
 from pbrfit_evaluation.grid import Case
@@ -13,25 +10,9 @@ from pbrfit_evaluation.grid.figures import Of
 from pbrfit_evaluation.solvers import figures, measure
 
 
-def test_exact_is_exact_in_every_map() -> None:
-    assert measure.is_exact(3e-8, 1e-6)
-    assert not measure.is_exact(3e-8, 1e-6, "exact-float64")
-    for bad in (1.1e-6, math.nan):
-        assert not measure.is_exact(3e-8, bad)
-        assert not measure.is_exact(bad, 0.0)
-
-
 def results(*of: tuple[str, str, int, Mapping[str, float]]) -> Of:
     pairs = [(Case(at, way, seed, 8), {"scores": scores}) for at, way, seed, scores in of]
     return recorded(*pairs, conditions=dict.fromkeys(at for at, *_ in of), ways=measure.WAYS)
-
-
-def test_the_mark_is_the_lower_of_lbfgsb_and_gauss_newton_from_the_truth() -> None:
-    at = "noise-0.01"
-    recon = [("truth", 1, 0.1), ("truth", 2, 0.3), ("lbfgsb", 1, 0.2), ("lbfgsb", 2, 0.2)]
-    recon += [("gauss-newton", 1, 0.2), ("gauss-newton", 2, 0.1), ("gauss-newton", 3, 9.0)]
-    of = results(*((at, way, seed, {"recon": error}) for way, seed, error in recon))
-    assert figures.above_mark(of, at, "gauss-newton") == pytest.approx({1: 3.0, 2: -0.75})
 
 
 def test_exact_rooms_are_counted_and_noise_is_held_against_the_mark() -> None:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import math
 from argparse import Namespace
 from collections.abc import Callable
-from dataclasses import replace
-from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
 
@@ -17,16 +14,14 @@ from numpy.typing import NDArray
 
 import pbrfit
 import reference
-from pbrfit.result.verdict import levels
 from pbrfit_evaluation.jobs import Record, Values
-from pbrfit_evaluation.stability import SUITE, edges, figures, stiff_fits
+from pbrfit_evaluation.stability import edges, figures, stiff_fits
 from pbrfit_evaluation.stability.double_precision import Case, evaluate
-from pbrfit_evaluation.stability.extreme_pixels import KINDS, random_case
+from pbrfit_evaluation.stability.extreme_pixels import random_case
 from pbrfit_evaluation.stability.sections import SECTIONS, Task, worst_of
 from pbrfit_evaluation.stability.sections import run as run_section
-from pbrfit_evaluation.stability.stiff_scenes import stiff_scenes
 from pbrfit_evaluation.suite import Results
-from scene_files import known, run
+from scene_files import known
 
 Array = NDArray[np.floating[Any]]
 
@@ -44,16 +39,6 @@ def test_double_precision_path_against_independent_objective() -> None:
     )
     assert found.loss == pytest.approx(loss, rel=1e-13)
     assert np.abs(found.gradient - gradient).max() <= 1e-12 * np.abs(gradient).max()
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_scales_are_no_smaller_than_the_gradient(kind: str) -> None:
-    case = KINDS[kind](np.random.default_rng(0), case_of(64, 4))
-    found, lights = evaluate(case), case.blocks()["lights"]
-    assert (found.gradient_scale >= np.abs(found.gradient) * (1 - 1e-12)).all()
-    assert (found.lights_terms >= np.abs(found.gradient[lights]) * (1 - 1e-12)).all()
-    assert (found.lights_terms <= found.gradient_scale[lights] * (1 + 1e-12)).all()
-    assert found.loss_scale >= found.loss
 
 
 TINY: dict[str, tuple[int, ...]] = {
@@ -78,15 +63,6 @@ def judged(section: str, values: Values | None = None) -> dict[str, bool]:
 
 def failures(section: str) -> set[str]:
     return {key for key, holds in judged(section).items() if not holds}
-
-
-def test_same_seed_same_figures() -> None:
-    first, again, other = (
-        run_section(Task("fast objective", (256,), seed), threads)["figures"]
-        for seed, threads in ((1, 1), (1, 2), (2, 1))
-    )
-    assert first == again
-    assert first != other
 
 
 Distort = Callable[[float, Array, Case], tuple[float, Array]]
@@ -128,11 +104,8 @@ def nonsense(loss: float, gradient: Array, _: Case) -> tuple[float, Array]:
     [
         ("fast objective", lambda loss, gradient, _: (loss * (1 + 5e-6), gradient), "loss_error"),
         ("fast objective", nonsense, "loss_error"),
-        *(
-            ("fast objective", scaled_block(name, factor), f"{name}_{kind}_error")
-            for name in ("albedo", "roughness", "metallic", "lights")
-            for factor, kind in ((1 + 5e-6, "block"), (math.nan, "entry"))
-        ),
+        ("fast objective", scaled_block("roughness", 1 + 5e-6), "roughness_block_error"),
+        ("fast objective", scaled_block("lights", math.nan), "lights_entry_error"),
         ("fast objective", one_wrong_pixel, "albedo_entry_error"),
         ("accumulated error", scaled_block("lights", 1 + 1e-4), "lights_error_one_sign"),
         ("edges", scaled_block("lights", 1 + 1e-4), "float32_error"),
@@ -176,39 +149,3 @@ def test_what_goes_wrong_at_an_edge_is_told(monkeypatch: pytest.MonkeyPatch) -> 
         monkeypatch.setattr(edges, "decompose", Mock(side_effect=error))
         assert edges.fitted(one, 1)["fits_failed"] == failed
         assert "no light" in edges.fitted(one, 1)["ended by"]
-
-
-def test_facts_of_a_broken_fit() -> None:
-    case = stiff_scenes(6, 5)[0]
-    options: dict[str, Any] = {"priors": None, "light": "sh", "refine_normals": "off"}
-    result = pbrfit.decompose(case.scene, iterations=3, **options)
-    facts = stiff_fits.facts(case, result, 3)
-    assert [facts[key] for key in SECTIONS["stiff fits"].bounds if key in facts] == [0, 0, 0, 0]
-    assert facts["ended by"] in ("iteration limit", "converged")
-    broken = replace(result, metrics={**result.metrics, "recon_rmse": math.nan})
-    facts = stiff_fits.facts(replace(case, determined=False), broken, 1)
-    assert facts["fits_not_finite"] == 1
-    assert facts["fits_iterations_over"] == result.history.iterations - 1
-    told = result.uncertainty
-    assert told is not None
-    called = levels(told.deviation).values()
-    assert facts["fits_overlooked"] == sum(np.count_nonzero(one == 0) for one in called)
-
-
-@pytest.mark.filterwarnings("ignore::RuntimeWarning")
-def test_nonsense_is_reported_and_fails(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """However wrong the core is, the page is drawn and says so."""
-    for section, sizes in TINY.items():
-        monkeypatch.setitem(SUITE.effort, section, (sizes, sizes))
-    monkeypatch.setattr(stiff_fits, "FITS", {"lbfgsb": ("lbfgsb", None)})
-    monkeypatch.setattr(Case, "problem", lambda case, threads=0: Distorted(case, threads, nonsense))
-    out = tmp_path / "out"
-    assert run("evaluate", "stability", "--out", out, "--quick", "--threads", 1) == 1
-    assert capsys.readouterr().out.count("FAILS") > 20
-    assert "Not held by: 1: " in (out / "report.html").read_text(encoding="utf-8")
-    rows = json.loads((out / "summary.json").read_text(encoding="utf-8"))["rows"]
-    fast = next(row for row in rows if row["name"] == "fast objective")
-    assert fast["status"] == "not held"
-    assert fast["metrics"]["failed"] == 9

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import io
 import json
 import math
 import subprocess
@@ -18,27 +17,21 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from PIL import Image
 
 import scene_files
 from evaluation_tasks import Task, work
 from page_reader import Page
 from pbrfit.commands.arguments import add_threads
-from pbrfit.report.html import Cell
-from pbrfit_evaluation import commands, options, plots, report
-from pbrfit_evaluation.jobs import Record
+from pbrfit_evaluation import commands, options, report
 from pbrfit_evaluation.suite import (
-    Column,
     Options,
     Part,
-    Picture,
     Results,
     Row,
     Section,
     Suite,
     Table,
     Verdict,
-    digits,
 )
 
 
@@ -147,19 +140,6 @@ def test_parts_options_and_files(
     assert run(SUITE, monkeypatch, *command, "--resume", "--part", "loud", "--quiet") == 0
     assert [row["scenes"] for row in summary(out)["rows"]] == [0, 3]
     assert len((tmp_path / "loud0.trace").read_text("utf-8").splitlines()) == 1
-
-
-def test_help_tells_defaults_of_both_efforts(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(SUITE, monkeypatch, "--help") == 0
-    told = " ".join(capsys.readouterr().out.split())
-    assert "--scenes K how many (default: 3, with --quick 1)" in told
-    assert "only these parts (default: all): quiet, loud" in told
-    assert "--cluster" in told
-    timed = replace(SUITE, timed=True)
-    assert run(timed, monkeypatch, "--out", "x", "--cluster", "tcp://head:8786") == 2
-    assert "whose seconds are those of one machine" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -279,102 +259,6 @@ def test_options_out_of_range_are_refused_before_anything_is_written(
     assert message in error
     assert error.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
-
-
-def test_verdicts() -> None:
-    assert Verdict("a", 1.0, 1.0).holds
-    assert not Verdict("a", 0.5, 1.0, at_least=True).holds
-    assert not Verdict("a", math.nan, 1.0).holds
-    assert not Verdict("a", math.nan, 1.0, at_least=True).holds
-    assert Verdict("a", math.nan, None).holds
-
-
-def test_results() -> None:
-    pairs = [
-        (Task("a", Path("x"), "raise"), Record("a", None, "why", 1.0)),
-        (Task("b", Path("x")), Record("b", {"of": {"it": 1.0}}, None, 1.0)),
-        (Task("c", Path("x")), Record("c", {"of": {"it": 3}}, None, 1.0)),
-        (Task("d", Path("x")), Record("d", {"of": {"it": None}}, None, 1.0)),
-    ]
-    results = Results(argparse.Namespace(), pairs)
-    assert results.numbers("of", "it") == [1.0, 3.0]
-    assert results.mean("of", "it").mean == 2.0
-    assert set(results.metrics(["it"], "of")) == {"it", "it_low", "it_high"}
-    assert results.status("rooms") == "1 of 4 rooms failed"
-    assert results.of(act="well").status() == "ok"
-    assert [case.key for case, _ in results.of(act="well", key="c").pairs] == ["c"]
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(0.0, "0"), (2.0, "2"), (0.0076, "0.00760"), (123.4, "123"), (0.12, "0.120"), (1e-5, "10⁻⁵"),
-     (1234.5, "1.2·10³"), (math.nan, "not a number"), (math.inf, "infinite")],
-)  # fmt: skip
-def test_digits(value: float, text: str) -> None:
-    assert digits(value) == text
-
-
-def test_rows_as_a_table() -> None:
-    rows = [
-        Row("one", 2, "a", {"albedo": 0.25, "albedo_low": 0.125, "albedo_high": 0.5}),
-        Row("one", 2, "b", {"albedo": 0.75, "ssim": 0.5}),
-        Row("one", 2, "guess", {"albedo": 0.0}, guess=True),
-        Row("two", 0, None, {}, status="not run: why"),
-    ]
-    table = Table.of(rows, [Column("albedo", best="low"), Column("ssim", "SSIM", "high")])
-    assert report.markdown(table) == (
-        "|  | scenes | solver | albedo | SSIM | status |\n"
-        "| --- | ---: | --- | ---: | ---: | --- |\n"
-        "| one | 2 | a | **0.250 [0.125, 0.500]** | – |  |\n"
-        "|  |  | b | 0.750 | **0.500** |  |\n"
-        "|  |  | guess | 0 | – |  |\n"
-        "| two | 0 |  | – | – | not run: why |\n"
-    )
-    assert list(Table.of(rows[:1]).columns) == ["", "scenes", "solver", "albedo"]
-
-
-def test_markdown_of_cells() -> None:
-    table = Table(["a", "b\nc"], [["x | y", Cell("1\n[0, 2]", "best")]])
-    assert report.markdown(table) == "| a | b c |\n| --- | ---: |\n| x \\| y | **1 [0, 2]** |\n"
-
-
-@pytest.mark.parametrize("log", ["", "xy"])
-@pytest.mark.parametrize("count", [1, 3])
-def test_plots_show_something(count: int, log: str) -> None:
-    figure, grid = plots.panels(count, 2 if count > 1 else 1, sharey="row")
-    for axes in grid:
-        plots.draw(axes, [1, 10, 100], [1, 2, 4], 0, "a", low=[0.5, 1, 2], high=[2, 4, 8])
-        plots.draw(axes, [10], [3], 9, "b", joined=False, low=[2], high=[4])
-        plots.mark(axes, 2, "bar")
-        plots.mark(axes, 5, axis="x")
-        plots.dress(axes, "x / s", "y", "title", log)
-    assert [axes.get_ylabel() for axes in grid] == ["y", "", "y"][:count]
-    assert_drawn(plots.png(figure))
-
-
-def test_rows_and_ratios_are_drawn() -> None:
-    figure, [axes] = plots.panels(1, 1)
-    plots.heat_map(axes, [[0.0, 1.0], [4.0, 19.0]], ["a", "b"], ["c", "d"])
-    assert_drawn(plots.png(figure))
-    metrics = {"albedo": 0.25, "albedo_low": 0.125, "albedo_high": 0.5}
-    rows = [Row(name, 2, "a", metrics, {"albedo": 0.5}) for name in ("one", "two")]
-    assert_drawn(plots.dots(rows, {"a": "way a", "b": "way b"}, ["albedo"], 0.2))
-
-
-def assert_drawn(png: bytes) -> None:
-    assert len(Image.open(io.BytesIO(png)).convert("RGB").getcolors(10**6) or ()) > 10
-
-
-def test_a_page_holds_its_plots(tmp_path: Path) -> None:
-    plot = Picture("curve", "Error & time.", b"png")
-    section = Section("A & B", "Said.\n\nTwice.", [Table(["n"], [[1.0], [None]])], [plot])
-    found = report.Outcome([], [], [section], {}, [])
-    report.write(tmp_path, SUITE, OPTIONS, found)
-    assert (tmp_path / "curve.png").exists()
-    page = Page((tmp_path / "report.html").read_text("utf-8"))
-    assert [image.attributes["alt"] for image in page.all("img")] == ["Error & time."]
-    assert [cell.text for cell in page.all("td")] == ["1", "–"]
-    assert (tmp_path / "nothing.md").read_text("utf-8").startswith("### A & B\n")
 
 
 def test_a_summary_says_how_to_make_it_again_and_holds_the_tables(tmp_path: Path) -> None:

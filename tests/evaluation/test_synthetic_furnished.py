@@ -81,29 +81,6 @@ def test_every_piece_is_in_the_room() -> None:
                 assert height.min() > -1e-9, f"seed {seed}: piece {i}"
 
 
-def test_rooms_do_not_depend_on_the_resolution() -> None:
-    # The centres of every third pixel of 60 are the pixel centres of 20.
-    for kind in ROOMS:
-        world = draw(kind, np.random.default_rng(5))
-        small, large = world.cast(20), world.cast(60)
-        np.testing.assert_array_equal(small.segments, large.segments[1::3, 1::3])
-        tolerance = 1e-9 if kind == "furnished" else 0.4  # details of a pixel are averaged
-        for name in ("albedo", "roughness", "metallic"):
-            coarse, fine = getattr(small.materials, name), getattr(large.materials, name)
-            np.testing.assert_allclose(coarse, fine[1::3, 1::3], atol=tolerance)
-        if kind == "furnished":
-            np.testing.assert_allclose(small.normals, large.normals[1::3, 1::3], atol=1e-9)
-
-
-def test_the_detailed_room_shares_the_geometry_of_the_furnished_one() -> None:
-    furnished = draw("furnished", np.random.default_rng(4)).cast(64)
-    detailed = draw("detailed", np.random.default_rng(4)).cast(64)
-    np.testing.assert_array_equal(furnished.segments, detailed.segments)
-    angle = np.sum(furnished.normals * detailed.normals, axis=-1)
-    assert angle.min() > 0.7
-    assert 0.9 < np.median(angle) < 1 - 1e-4
-
-
 def test_fine_detail_fades_with_distance() -> None:
     world = draw("detailed", np.random.default_rng(2))
 
@@ -115,8 +92,3 @@ def test_fine_detail_fades_with_distance() -> None:
 
     # More pixels show more detail: steps shrink more slowly than pixels do.
     assert roughness_steps(192) > 1.3 * roughness_steps(32)
-
-
-def test_textures_belong_to_detailed_scenes() -> None:
-    with pytest.raises(ValueError, match="textures: expected the kind detailed"):
-        make_scene("room", size=8, textures=())

@@ -1,4 +1,4 @@
-"""Texture maps: found by name, averaged, laid on primitives; on small files made here."""
+"""Texture maps: found by name, laid on primitives; on small files made here."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pbrfit.io import images
 from pbrfit.io.color import decode_srgb
-from pbrfit.synthetic import draw, make_scene
+from pbrfit.synthetic import make_scene
 from pbrfit.synthetic.geometry import Plane, rotation
 from pbrfit.synthetic.surfaces import Spots
 from pbrfit_evaluation.rooms import MaterialSet, load_textures
@@ -86,15 +86,6 @@ def test_names_in_use(tmp_path: Path, color: str, rough: str) -> None:
     np.testing.assert_allclose(one.levels[0][..., 4], metallic, atol=1e-6)
 
 
-def test_shared_maps_serve_all_of_their_name(tmp_path: Path) -> None:
-    for name in ("king_black", "king_white"):
-        save_set(tmp_path, noise(0), noise(1)[..., 0], prefix=f"{name}_")
-    save(tmp_path / "king_shared_metallic.png", np.ones((16, 16)))
-    sets = load_textures(tmp_path)
-    assert [one.name for one in sets] == ["king_black", "king_white"]
-    assert [one.metallic for one in sets] == [1.0, 1.0]
-
-
 def test_normal_maps_up_or_down(tmp_path: Path) -> None:
     tilted = np.broadcast_to([0.5 + 0.3, 0.5 + 0.2, 0.5 + np.sqrt(0.25 - 0.13)], (8, 8, 3))
     for name in ("gl/nor_gl.png", "dx/normal_dx.png"):
@@ -105,17 +96,6 @@ def test_normal_maps_up_or_down(tmp_path: Path) -> None:
     np.testing.assert_allclose(up.mean[5:], [0.6, 0.4, np.sqrt(0.48)], atol=0.005)
     np.testing.assert_allclose(down.mean[5:], up.mean[5:] * [1, -1, 1], atol=1e-6)
     assert up.relief
-
-
-def test_large_and_odd_maps_are_averaged_by_area(tmp_path: Path) -> None:
-    color = np.zeros((24, 24, 3))
-    color[:, :12] = 1.0
-    save_set(tmp_path, color, noise(1, 4)[..., 0])
-    (one,) = load_textures(tmp_path)
-    assert len(one.levels[0]) == 16
-    np.testing.assert_allclose(one.levels[0][:, :8, :3], 1.0, atol=1e-6)
-    np.testing.assert_allclose(one.levels[0][:, 8:, :3], 0.0, atol=1e-6)
-    np.testing.assert_allclose(one.mean[3], eight_bit(noise(1, 4)[..., 0]).mean(), atol=1e-6)
 
 
 def test_what_is_missing_is_named(tmp_path: Path) -> None:
@@ -139,30 +119,6 @@ def one_set(maps: Array) -> MaterialSet:
         half = len(levels[-1]) // 2
         levels.append(levels[-1].reshape(half, 2, half, 2, 8).mean(axis=(1, 3)))
     return MaterialSet(name="made", levels=tuple(levels), relief=True)
-
-
-def test_texel_centres_and_repetition() -> None:
-    maps = noise(3, 8, 8)
-    made = one_set(maps)
-    row, column = np.mgrid[:8, :8].reshape(2, -1)
-    u, v = (column + 0.5) / 8, 1 - (row + 0.5) / 8
-    for shift in (0, 1, -3):
-        found = made.sample(u + shift, v - shift, np.zeros(64))
-        np.testing.assert_allclose(found, maps.reshape(64, 8), atol=1e-6)
-
-
-def test_between_texels_and_levels_values_are_linear() -> None:
-    maps = noise(4, 8, 8)
-    made = one_set(maps)
-
-    def sample(u: float, v: float, texels: float) -> Array:
-        return np.asarray(made.sample(np.array([u]), np.array([v]), np.array([texels]))[0])
-
-    found = sample(3 / 8, 1 - 2.5 / 8, 1.0)
-    np.testing.assert_allclose(found, (maps[2, 2] + maps[2, 3]) / 2, atol=1e-6)
-    first, wide, second = (sample(2 / 8, 1 - 2 / 8, x) for x in (2.0, 2 * np.sqrt(2), 4.0))
-    np.testing.assert_allclose(wide, (first + second) / 2, atol=1e-6)
-    np.testing.assert_allclose(sample(0.3, 0.9, 1e9), maps.mean((0, 1)), atol=1e-6)
 
 
 def test_relief_tilts_the_normal_to_the_right_of_the_map() -> None:
@@ -202,23 +158,3 @@ def test_scene_from_a_folder_of_maps(two_sets: Path) -> None:
     assert np.mean(maps.metallic >= 0.5) > 0.08
     changed = np.abs(maps.albedo - before.albedo).max(axis=-1)
     assert np.mean(changed > 0.01) > 0.5
-
-
-@pytest.mark.slow
-def test_scenes_from_real_maps(shared_data: Path) -> None:
-    folder = shared_data / "pbr_ambientcg"
-    if not folder.is_dir():
-        pytest.skip("no pbr_ambientcg in the shared data")
-    sets = load_textures(folder)
-    names = [one.name for one in sets]
-    assert names == ["bark_Bark014", "metal_Metal055A", "onyx_Onyx003", "rustymetal_Metal053C"]
-    assert all(one.repeats and one.relief for one in sets)
-    metallic = [one.metallic for one in sets]
-    assert metallic[0] == metallic[2] == 0.0
-    assert metallic[1] > 0.99
-    assert 0.4 < metallic[3] < 0.7
-    for seed in range(3):
-        world = draw("detailed", np.random.default_rng(seed), sets)
-        assert sum(isinstance(one, Textured) for one in world.surfaces) > 10
-        view = world.cast(48)
-        assert 0.08 < np.mean(view.materials.metallic >= 0.5) < 0.5

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,10 +21,7 @@ from pbrfit_evaluation.table1 import measure
 from pbrfit_evaluation.table1.figures import METRICS, rows
 from pbrfit_evaluation.table1.measure import Case
 from pbrfit_evaluation.table1.rows import BY_KEY, ROWS
-from scene_files import known, run
-
-PAPER = ("--model", "paper")
-TINY = ("--size", "16", "--lights", "4", "--iterations", "3", "--jobs", "1")
+from scene_files import known
 
 
 def case(row: str, way: str = "default", seed: int = 1001, **more: Any) -> Case:
@@ -86,13 +81,6 @@ def test_a_scene_is_told_what_its_row_says_and_nothing_else(key: str) -> None:
     assert np.array_equal(scene.normals, truth.normals) == (row.normals == "true")
 
 
-@pytest.mark.slow
-def test_lights_of_a_lower_order_explain_less() -> None:
-    base, sh2 = (measure.run(case(key, "constant"), 1)["scores"] for key in ("base", "sh2"))
-    assert set(METRICS) < set(base)
-    assert base["recon"] < sh2["recon"]
-
-
 def test_our_renderer_uses_the_model_that_is_fitted_but_in_one_row() -> None:
     swapped = [row.key for row in ROWS if row.swapped]
     assert swapped == ["other-model"]
@@ -115,28 +103,6 @@ def test_given_normals_are_used(tmp_path: Path) -> None:
         given("normals", seed=1000, predicted_normals=tmp_path)
     with pytest.raises(ValueError, match="expected 24 × 24 pixels, found 16 × 16"):
         given("normals", size=24, predicted_normals=tmp_path)
-
-
-@pytest.mark.slow
-def test_other_normals_of_the_same_name_are_other_tasks(tmp_path: Path) -> None:
-    normals, out = tmp_path / "normals", tmp_path / "out"
-    normals.mkdir()
-    command = ("evaluate", "table1", "--out", out, "--rows", "normals", "--scenes", 1, *TINY,
-               *PAPER, "--ways", "constant", "--quiet", "--predicted-normals", normals)  # fmt: skip
-    scene = make_scene("furnished", size=16, lights=4, held_out=4, seed=1000)
-    off = []
-    for turned, options in ((0.0, ()), (0.2, ("--resume",)), (0.2, ("--resume",))):
-        x, y, z = np.moveaxis(scene.normals, -1, 0)
-        c, s = math.cos(turned), math.sin(turned)
-        (normals / "1000.exr").unlink(missing_ok=True)
-        images.write_exr(normals / "1000.exr", {"X": c * x + s * z, "Y": y, "Z": c * z - s * x})
-        assert run(*command, *options) == 0
-        record = json.loads(
-            (out / "records" / "normals_constant_furnished_paper_1000.json").read_text("utf-8")
-        )
-        off.append((record["values"]["scores"]["recon"], record["seconds"]))
-    assert off[1][0] > off[0][0]
-    assert off[2] == off[1]  # not done again
 
 
 def test_rows_have_the_papers_figures_and_say_why_some_were_not_run() -> None:

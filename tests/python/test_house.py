@@ -75,9 +75,15 @@ def parsed(path: Path) -> ast.Module:
     return ast.parse(path.read_text("utf-8"))
 
 
+@cache
+def nodes(path: Path) -> tuple[ast.AST, ...]:
+    """All nodes of a file's code."""
+    return tuple(ast.walk(parsed(path)))
+
+
 def imports(path: Path, known: dict[str, Path]) -> Iterator[tuple[int, str]]:
     """Line and module of each import of a known module, in functions and for types too."""
-    for node in ast.walk(parsed(path)):
+    for node in nodes(path):
         if isinstance(node, ast.ImportFrom) and node.module:
             for one in node.names:
                 full = f"{node.module}.{one.name}"
@@ -187,9 +193,9 @@ def test_nothing_grows() -> None:
     assert not grown, f"grown (recorded, found): {grown}"
 
 
-def names(tree: ast.AST) -> Iterator[tuple[int, str]]:
+def names(path: Path) -> Iterator[tuple[int, str]]:
     """Line and name of whatever a file defines or uses by name."""
-    for node in ast.walk(tree):
+    for node in nodes(path):
         for attribute in ("name", "id", "attr", "arg"):
             value = getattr(node, attribute, None)
             if isinstance(value, str):
@@ -200,7 +206,7 @@ def test_names_are_the_fields_words() -> None:
     private = [
         f"{path.relative_to(ROOT)}:{line}: {name}"
         for path in modules(PACKAGE).values()
-        for line, name in names(parsed(path))
+        for line, name in names(path)
         if PRIVATE_WORDS.fullmatch(name)
     ]
     assert not private, "\n".join(private)

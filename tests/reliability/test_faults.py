@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ from batches import (
     statuses,
     tiled_scene,
 )
-from processes import NOBODY, ROOT, as_nobody_special, closed, waiting_at
+from processes import ROOT, as_nobody_special, closed, waiting_at
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="made for Linux")
 
@@ -128,21 +128,6 @@ def test_a_disk_that_fills_up_costs_the_scenes_that_found_no_room(
         assert all(after[name] == what for name, what in before.items())
 
 
-@NEEDS_ROOT
-def test_a_disk_without_any_room_costs_a_line_a_scene(scenes: Path, tmp_path: Path) -> None:
-    with disk(tmp_path / "disk", "16k"):
-        out = tmp_path / "disk" / "out"
-        with suppress(OSError), (tmp_path / "disk" / "full").open("wb", buffering=0) as full:
-            while full.write(bytes(4096)):
-                pass
-        code, told, errors = ended(arguments(scenes, out))
-        assert (code, told) == (2, "")
-        *each, last = errors.splitlines()
-        assert sorted(each) == [f"pbrfit: {out / name}: No space left on device" for name in NAMES]
-        assert last.startswith("pbrfit: 6 of 6 scenes failed: ")
-        assert names(tmp_path / "disk") == ["full"]
-
-
 def test_an_output_that_may_not_be_written_is_one_line_before_the_work(
     scenes: Path, tmp_path: Path
 ) -> None:
@@ -152,33 +137,6 @@ def test_an_output_that_may_not_be_written_is_one_line_before_the_work(
     found = as_nobody_special(arguments(scenes, out))
     assert found == (2, "", f"pbrfit: {out}: {NO_PLACE}Permission denied\n")
     assert list(out.iterdir()) == []
-
-
-@NEEDS_ROOT
-def test_a_result_that_may_not_be_replaced_stays(scenes: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    assert ended(arguments(scenes, out))[0] == 0
-    before = contents(out)
-    os.chown(out / "s2", NOBODY, NOBODY)
-    (out / "s2").chmod(0o755)
-    code, _, errors = as_nobody_special(arguments(scenes, out, "--overwrite"))
-    assert code == 1
-    assert errors == (
-        f"pbrfit: {out / 's2'}: Permission denied\npbrfit: 1 of 6 scenes failed: {scenes / 's2'}\n"
-    )
-    after = contents(out)
-    assert after.pop("s2") == before.pop("s2")
-    assert all(after[name] != before[name] for name in before)
-
-
-@NEEDS_ROOT
-def test_a_read_only_file_system_is_one_line_before_the_work(scenes: Path, tmp_path: Path) -> None:
-    with disk(tmp_path / "disk", "1m") as remount:
-        remount("ro")
-        out = tmp_path / "disk" / "out"
-        for given in (scenes, scenes / "s0"):
-            found = ended(arguments(given, out))
-            assert found == (2, "", f"pbrfit: {out}: {NO_PLACE}Read-only file system\n")
 
 
 def test_a_worker_that_dies_once_costs_nothing(scenes: Path, tmp_path: Path) -> None:

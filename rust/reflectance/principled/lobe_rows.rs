@@ -264,7 +264,3 @@ const _: () = assert!(
         && BAND_2 + IN_BAND_2 == BAND_3
         && BAND_3 + IN_BAND_3 == COEFFICIENTS
 );
-
-#[cfg(test)]
-#[path = "../../../tests/rust/reflectance_principled_lobe_rows.rs"]
-mod tests;

@@ -106,18 +106,6 @@ def test_a_scaled_picture_comes_back_where_it_was(size: tuple[int, int], limits:
     assert np.sqrt(np.mean((back.astype(float) - photo) ** 2)) < 1.2
 
 
-def test_padding_is_the_mirror_image_on_all_sides() -> None:
-    photo = picture(97, 131)
-    found = frame((97, 131), FLUX2_KLEIN)
-    padded = found.to_model(photo)
-    assert padded.shape == (112, 144, 3)
-    top, left = found.offset
-    assert (top, left) == (7, 6)
-    np.testing.assert_array_equal(padded[top : top + 97, left : left + 131], photo)
-    np.testing.assert_array_equal(padded[top - 1], padded[top])
-    np.testing.assert_array_equal(padded[:, left + 131 + 3], padded[:, left + 130 - 3])
-
-
 def test_scaling_is_in_linear_light_and_stays_in_the_range_of_the_values() -> None:
     stripes = np.zeros((64, 128, 3), dtype=np.uint8)
     stripes[:, ::2] = 255

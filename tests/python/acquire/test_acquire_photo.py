@@ -14,7 +14,6 @@ from pbrfit._core import InputError
 from pbrfit.acquire.photo import read_photo
 from pbrfit.io import images
 from pbrfit.io.color import decode_srgb
-from pbrfit.io.resampling import averaged
 from scene_files import known
 
 ORIENTATION, FOCAL_LENGTH_35MM, EXIF_IFD = 0x0112, 0xA405, 0x8769
@@ -41,19 +40,6 @@ def test_a_network_is_shown_the_bytes_of_an_8_bit_file(
     assert photo.mask is None
     assert photo.fov is None
     assert photo.exposure == 0
-
-
-@pytest.mark.slow
-def test_a_large_photograph_is_averaged_in_linear_light(tmp_path: Path) -> None:
-    codes = noise(300, 400, 3).repeat(10, axis=0).repeat(10, axis=1)  # 4000 × 3000
-    Image.fromarray(codes).save(tmp_path / "photo.png", compress_level=1)
-    photo = read_photo(tmp_path / "photo.png", max_size=1000)
-    assert photo.size == (750, 1000)
-    assert photo.full_size == (3000, 4000)
-    assert photo.assumed["size"] == "averaged from 4000 × 3000 to 1000 × 750 pixels"
-    expected = averaged(decode_srgb(codes[..., 1] / 255), (750, 1000))
-    np.testing.assert_allclose(photo.pixels[..., 1], expected, atol=1e-6)
-    assert read_photo(tmp_path / "photo.png", max_size=None).size == (3000, 4000)
 
 
 def test_a_photograph_is_turned_as_its_exif_says(tmp_path: Path) -> None:
@@ -100,16 +86,6 @@ def test_a_float_file_is_shown_at_an_exposure_that_fits(unit: float, tmp_path: P
     assert np.mean(photo.srgb8() == 255) == pytest.approx(above_white, abs=0.005)  # code 254.5 on
     assert photo.exposure == pytest.approx(-np.log2(unit), abs=0.05)
     assert "below white" in photo.assumed["exposure"]
-
-
-def test_infinite_pixels_are_left_out(tmp_path: Path) -> None:
-    radiance = np.full((80, 90), 0.5, dtype=np.float32)
-    radiance[3, 4], radiance[5, 6] = np.inf, np.nan
-    images.write_exr(tmp_path / "photo.exr", dict.fromkeys("RGB", radiance))
-    photo = read_photo(tmp_path / "photo.exr")
-    np.testing.assert_array_equal(np.argwhere(~known(photo.mask)), [[3, 4], [5, 6]])
-    assert np.isfinite(photo.pixels).all()
-    assert np.ptp(photo.srgb8()) == 0
 
 
 def test_the_least_photograph_has_64_pixels_a_side(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import sys
 from pathlib import Path
 from typing import Any
@@ -56,13 +55,6 @@ def test_the_matrix_and_the_exposure_are_found(tmp_path: Path) -> None:
     found = read_chart(tmp_path / "chart.png", picture, CORNERS)
     np.testing.assert_allclose(EXPOSURE * found.matrix, TO_REC709, atol=2e-3)
     assert found.said == "a ColorChecker, mean colour difference 0.0 (CIE 1976; 9.8 without)"
-
-
-def test_corners_off_by_a_fifth_of_a_patch_do_no_harm(tmp_path: Path) -> None:
-    picture = written(tmp_path / "chart.png", drawn())
-    off = CORNERS + np.array([[5.0, -4], [-5, 4], [4, 5], [-4, -5]])
-    found = read_chart(tmp_path / "chart.png", picture, off)
-    np.testing.assert_allclose(EXPOSURE * found.matrix, TO_REC709, atol=2e-3)
 
 
 @pytest.mark.parametrize(
@@ -134,9 +126,3 @@ def test_a_chart_corrects_all_pictures(tmp_path: Path, capsys: pytest.CaptureFix
 def test_a_matrix_that_cannot_be_undone_is_refused(rows: Any) -> None:
     with pytest.raises(InputError, match=r"color_matrix: expected (three rows|shape \(3, 3\))"):
         ReadOptions(color_matrix=rows)
-
-
-def test_a_matrix_comes_back_from_its_table() -> None:
-    options = ReadOptions(color_matrix=((1, 0, 0), (0, 2, 0), (0, 0, 1)))
-    table = dataclasses.asdict(options) | {"color_matrix": [[1, 0, 0], [0, 2, 0], [0, 0, 1]]}
-    assert ReadOptions.from_json(table) == options

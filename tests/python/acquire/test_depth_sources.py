@@ -91,8 +91,9 @@ def test_members_that_differ_by_factor_and_offset_are_the_same_answer() -> None:
     assert np.abs(mean - first).mean() < 0.15
 
 
-@pytest.mark.parametrize("kind", ["z", "ray", "disparity"])
-@pytest.mark.parametrize("suffix", [".exr", ".npy", ".png"])
+@pytest.mark.parametrize(
+    ("kind", "suffix"), [("z", ".exr"), ("z", ".npy"), ("ray", ".png"), ("disparity", ".exr")]
+)
 def test_depth_of_a_file(folder: Path, tmp_path: Path, kind: str, suffix: str) -> None:
     depth, _ = surface()
     views = geometry.view_directions(SIZE, SIZE, FOV)
@@ -108,24 +109,6 @@ def test_depth_of_a_file(folder: Path, tmp_path: Path, kind: str, suffix: str) -
     assert "depth.exr: " in said
     assert "degrees (median) from the scene's" in said
     assert off(read_back(folder), depth).max() < 1e-3
-
-
-def test_a_larger_map_is_averaged_down(folder: Path, tmp_path: Path) -> None:
-    np.save(tmp_path / "map.npy", surface(2 * SIZE)[0])
-    done("depth", folder, "--from", tmp_path / "map.npy")
-    assert np.median(off(read_back(folder), surface()[0])) < 0.01
-    np.save(tmp_path / "map.npy", np.ones((SIZE, SIZE + 1)))
-    said = refused("depth", folder, "--from", tmp_path / "map.npy", "--overwrite")
-    assert "expected the pictures' size, 64 × 64 pixels, or a larger one" in said
-
-
-def test_existing_depth_is_replaced_only_when_asked(folder: Path) -> None:
-    np.save(folder / "depth.npy", surface()[0])
-    said = refused("depth", folder, "--from", "normals")
-    assert "depth.npy: expected no depth yet, found some; --overwrite replaces" in said
-    done("depth", folder, "--from", "normals", "--overwrite")
-    assert (folder / "depth.exr").exists()
-    assert not (folder / "depth.npy").exists()
 
 
 def test_depth_of_normals(folder: Path) -> None:

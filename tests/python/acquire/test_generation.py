@@ -244,15 +244,6 @@ def test_overwrite_takes_other_settings_and_keeps_what_was_received(
     assert back.asked == []
 
 
-def test_overwrite_takes_away_what_the_new_scene_lacks(make: Make, tmp_path: Path) -> None:
-    make(Counting())
-    scene = tmp_path / "scene"
-    (scene / "mask.png").write_bytes(b"of an earlier scene")
-    make(Counting(), overwrite=True, with_photo=False, count=2)
-    assert names(scene / "images") == ["light_0.png", "light_1.png"]
-    assert "mask.png" not in names(scene)
-
-
 def test_a_folder_of_somebodys_pictures_is_never_touched(make: Make, tmp_path: Path) -> None:
     theirs = tmp_path / "scene" / "images" / "mine.png"
     theirs.parent.mkdir(parents=True)
@@ -338,25 +329,6 @@ def test_too_few_pictures_are_no_scene_and_the_review_says_why(make: Make, tmp_p
     assert before == {path: path.read_bytes() for path in before}
 
 
-def test_a_crash_between_a_picture_and_its_entry_costs_this_picture_alone(
-    make: Make, tmp_path: Path
-) -> None:
-    make(Counting())
-    for of_it in ("generation/light_1-1.json", "images/light_1.png"):
-        (tmp_path / "scene" / of_it).unlink()
-    again = Counting()
-    make(again, resume=True)
-    assert [request.name for request in again.asked] == ["light_1"]
-
-
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes")
-def test_a_pipe_in_the_journal_is_told(make: Make, tmp_path: Path) -> None:
-    make(Counting())
-    os.mkfifo(tmp_path / "scene" / "generation" / "light_3-9.json")
-    with pytest.raises(InputError, match=r"light_3-9\.json: expected"):
-        make(Counting(), resume=True)
-
-
 def test_a_broken_journal_is_told(make: Make, tmp_path: Path) -> None:
     make(Counting())
     entry = tmp_path / "scene" / "generation" / "light_1-1.json"
@@ -420,11 +392,3 @@ def test_transparent_pixels_are_masked(make: Make, tmp_path: Path, photo: Path) 
     make(Counting(), photo=tmp_path / "cut.png")
     assert not Scene.load(tmp_path / "scene").valid[:, :10].any()
     assert Scene.load(tmp_path / "scene").valid[:, 10:].all()
-
-
-def test_progress_counts_up_to_all_pictures(make: Make) -> None:
-    told: list[tuple[str, int, int]] = []
-    make(Counting(), reviewer=Strict(alone=[0]), progress=lambda *step: told.append(step))
-    assert told[0] == ("segments, normals and depth", 0, 4)
-    assert ("light_0, seed 1000", 2, 4) in told
-    assert told[-1] == ("writing", 5, 5)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from command_runs import done, refused
 from pbrfit._core import InputError
 from pbrfit.acquire.marigold import mean_and_spread
-from pbrfit.acquire.normals import HALF_WEIGHT, estimate, weights_of
+from pbrfit.acquire.normals import estimate, weights_of
 from pbrfit.acquire.photo import shown_to_network
 from pbrfit.display.tone import encoded
 from pbrfit.io import images
@@ -247,32 +247,6 @@ def test_the_spread_of_an_ensemble_is_that_of_its_members() -> None:
         assert np.sqrt(np.mean(spread**2)) == pytest.approx(3.0, rel=0.02)
         wrong = angles_between(mean, np.broadcast_to(direction, mean.shape))
         assert np.sqrt(np.mean(wrong**2)) == pytest.approx(3.0 / np.sqrt(count), rel=0.02)
-
-
-def test_members_that_agree_have_no_spread_and_those_that_cancel_face_the_viewer() -> None:
-    one = np.broadcast_to(unit(1, 2, 3), (2, 2, 3))
-    mean, spread = mean_and_spread([one, one, one])
-    np.testing.assert_allclose(mean, one)
-    np.testing.assert_allclose(spread, 0, atol=1e-6)
-    mean, spread = mean_and_spread([one, -one])
-    assert (mean == [0, 0, 1]).all()
-    assert (spread > 60).all()
-    assert (mean_and_spread([one])[1] == 0).all()
-
-
-def test_weights_of_uncertain_normals() -> None:
-    uncertainty = np.array([[0.0, HALF_WEIGHT, 3 * HALF_WEIGHT]])
-    known = np.array([[True, False, True]])
-    for given, expected in (
-        ((uncertainty, None), [[1, 0.5, 0.1]]),
-        ((uncertainty, known), [[1, 0, 0.1]]),
-        ((None, known), [[1, 0, 1]]),
-    ):
-        found = weights_of(*given)
-        assert found is not None
-        np.testing.assert_allclose(found, np.array(expected), rtol=1e-6)
-    assert weights_of(None, np.ones((2, 2), bool)) is None
-    assert weights_of(None, None) is None
 
 
 @pytest.fixture

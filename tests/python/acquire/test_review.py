@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pbrfit import InputError
-from pbrfit.acquire.review import LOG_CHANGE_MIN, Reviewer, illumination, structure
+from pbrfit.acquire.review import LOG_CHANGE_MIN, Reviewer, illumination
 from pbrfit_evaluation.review.damage import damaged
 from pbrfit_evaluation.review.pictures import View, camera, relights
 
@@ -118,16 +118,6 @@ def test_a_bend_is_found() -> None:
     assert any("warp" in failed(verdict) for verdict in verdicts)
 
 
-@pytest.mark.slow
-def test_verdicts_do_not_depend_on_the_order() -> None:
-    members = list(pictures()[1:])
-    members[2] = camera(repainted(view().pictures[3], "removed"))
-    forwards = reviewer().together(members)
-    backwards = reviewer().together(members[::-1])[::-1]
-    for one, other in zip(forwards, backwards, strict=True):
-        assert failed(one) == failed(other)
-
-
 def test_too_few_pictures_are_not_judged_together() -> None:
     assert illumination.FEWEST == 4
     assert [v.checks for v in reviewer().together(pictures()[1:3])] == [(), ()]
@@ -162,13 +152,3 @@ def test_unusable_photographs_and_pictures_are_refused_in_one_line() -> None:
         Reviewer(np.full((80, 80, 3), 0.3))
     with pytest.raises(InputError, match=r"the photograph's shape .*, found \(80, 80, 3\)"):
         reviewer().picture(np.zeros((80, 80, 3)))
-
-
-def test_black_and_clipped_pixels_are_no_evidence() -> None:
-    members = [structure.gradients(picture) for picture in pictures()]
-    reference = structure.lasting(members)
-    for level in (0.0, 1.0):
-        blank = pictures()[1].copy()
-        blank[60:160, 60:160] = level
-        share = structure.kept(structure.gradients(blank), reference, (64, 64))
-        assert np.isnan(share[27, 27]) or share[27, 27] > 0.8

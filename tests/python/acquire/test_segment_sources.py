@@ -34,12 +34,6 @@ def test_smaller_masks_lie_on_top_whatever_their_order() -> None:
         np.testing.assert_array_equal(ids_of(order, ALL), expected)
 
 
-def test_masks_of_one_size_have_an_order_of_their_own() -> None:
-    left, right = box(0, 0, 10, 10), box(0, 5, 10, 10)
-    np.testing.assert_array_equal(ids_of([left, right], ALL), ids_of([right, left], ALL))
-    assert ids_of([left, right], ALL)[0, 7] == 2
-
-
 def test_small_masks_and_those_that_are_covered_are_dropped() -> None:
     large, small = box(0, 0, 10, 10), box(15, 20, 2, 2)
     assert ids_of([large, small], ALL, smallest=5 / 600).max() == 1
@@ -50,30 +44,12 @@ def test_small_masks_and_those_that_are_covered_are_dropped() -> None:
     assert sorted(np.unique(ids)) == [0, 1, 2]
 
 
-def test_what_a_dropped_mask_covered_comes_to_light() -> None:
-    # The middle one shows in 2 pixels only, so it goes; below it is the large one, not nothing.
-    large, middle, top = box(0, 0, 20, 20), box(2, 2, 6, 6), box(2, 2, 6, 5)
-    top[7, 2:7] = False
-    ids = ids_of([large, middle, top], ALL, smallest=12 / 600)
-    assert ids[3, 7] == 1
-    assert ids[7, 3] == 1
-    assert ids.max() == 2
-
-
 def test_no_mask_leaves_everything_unclassified() -> None:
     assert not ids_of([], ALL).any()
     assert ids_of([], ALL).dtype == np.uint16
     assert not ids_of([np.zeros(ALL, bool)], ALL, smallest=0).any()
     with pytest.raises(InputError, match="smallest: expected a share"):
         ids_of([], ALL, smallest=2)
-
-
-@pytest.mark.slow
-def test_more_masks_than_ids_lose_the_smallest(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pbrfit.acquire.segments.MAX_ID", 5)  # of 65535 masks are gigabytes
-    ids = ids_of([box(0, 3 * k, 1 + k, 2) for k in range(8)], ALL, smallest=0)
-    assert np.unique(ids).tolist() == list(range(6))
-    assert not ids[:, :9].any()
 
 
 def test_ids_of_a_file_are_taken_at_centres(tmp_path: Path) -> None:

@@ -29,14 +29,12 @@ from pbrfit.batch.prediction import of_scene
 from pbrfit.batch.scenes import SceneTask, decompose_scene
 from pbrfit.batch.unchanged import kept
 from pbrfit.fit import memory
-from pbrfit.fit.decompose import decompose
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.io import images
 from pbrfit.io.weight_files import write_weights
 from pbrfit.model.lighting import Lighting
 from pbrfit.result.options import FitOptions, Priors
 from pbrfit.result.result import FILES, RESULT_FOLDER, Result
-from pbrfit.scene import folder as scene_folder
 from pbrfit.scene.options import ReadOptions
 from pbrfit.synthetic import make_scene
 from processes import alive, until, waiting_at
@@ -167,22 +165,6 @@ def test_an_interrupted_batch_leaves_whole_results_and_no_process(
     assert sorted(path.name for path in out.iterdir()) == sorted(set(NAMES) - {"two"})
 
 
-def test_a_full_disk_is_one_line_that_names_the_result(folder: Path, tmp_path: Path) -> None:
-    resource = pytest.importorskip("resource")
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, before[1]))  # processes inherit it
-    try:
-        found = ran("decompose", folder, "--out", tmp_path / "out", *FEW, "--jobs", 2, "--quiet")
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    lines = found.err.splitlines()
-    assert found.code == 2
-    for name in NAMES:
-        assert f"pbrfit: {tmp_path / 'out' / name}: File too large" in lines
-    assert len(lines) == len(NAMES) + 1
-    assert not (tmp_path / "out").exists()
-
-
 @pytest.mark.parametrize("act", ["no pickle", "no pickle raised"])
 def test_what_no_process_can_send_fails_its_task_alone(tmp_path: Path, act: str) -> None:
     tasks = [Task("a", tmp_path, act), Task("b", tmp_path), Task("c", tmp_path)]
@@ -217,7 +199,7 @@ def test_what_is_finished_is_kept_and_the_rest_is_done(folder: Path, tmp_path: P
     assert statuses(done(*arguments)) == dict.fromkeys(NAMES, "done")
     before = marks(out)
     shutil.rmtree(out / "one")
-    said = done(*arguments, "--jobs", 2, "--threads", 1, "--quiet")
+    said = done(*arguments, "--threads", 1, "--quiet")
     assert statuses(said) == {"one": "done", "two": "kept", "drei ä 面": "kept"}
     after = marks(out)
     assert after.pop("one") != before.pop("one")
@@ -287,22 +269,6 @@ def is_kept(folder: Path, reading: ReadOptions = READING, options: FitOptions = 
     return kept(folder / "out", folder / "scene", reading, options) is not None
 
 
-def test_an_unchanged_scene_is_kept_wherever_it_lies(result: Path) -> None:
-    assert is_kept(result)
-    for path in result.rglob("*"):
-        os.utime(path, (1, 1))
-    (result / "scene" / "notes.txt").write_text("not read")
-    (result / "scene").rename(result / "elsewhere")
-    assert kept(result / "out", result / "elsewhere", READING, OPTIONS) is not None
-
-
-def test_the_files_that_are_looked_at_are_those_that_are_read(whole: Path) -> None:
-    inputs = Scene.load(whole / "scene").inputs
-    assert scene_folder.digests(whole / "scene") == inputs
-    assert {"mask.png", "normals.exr", "weights.exr", "segments.png", "lighting.json"} < set(inputs)
-    assert {"scene.toml", "truth/materials.exr", "truth/relight/lighting.json"} < set(inputs)
-
-
 FILES_OF_A_SCENE = (
     *("images/light_01.exr", "mask.png", "normals.exr", "weights.exr", "segments.png"),
     *("lighting.json", "scene.toml", "truth/materials.exr", "truth/lighting.json"),
@@ -351,12 +317,6 @@ def test_read_or_fitted_in_another_way_is_done_again(whole: Path) -> None:
         assert not is_kept(whole, reading), reading
     for name, value in OTHERWISE.items():
         assert not is_kept(whole, options=replace(OPTIONS, **{name: value})), name
-
-
-def test_a_result_says_what_was_asked_for() -> None:
-    scene = make_scene("room", size=8, lights=4)
-    options = FitOptions(**{**OTHERWISE, "iterations": 1, "refine_normals": "auto"})
-    assert decompose(scene, options).options == options
 
 
 @pytest.mark.parametrize("name", [*FILES, "result.json"])
@@ -421,16 +381,6 @@ def test_what_a_killed_batch_left_is_removed_and_what_it_took_away_put_back(
     assert after.pop("two")
     assert after == before
     assert sorted(path.name for path in out.iterdir()) == sorted(NAMES)
-
-
-def test_an_output_that_cannot_be_made_shows_before_the_work(folder: Path, tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / ".pbrfit").touch()
-    for out in (tmp_path / "file", tmp_path / "file" / "out", tmp_path / "out"):
-        assert str(out) in refused(
-            "decompose", folder, "--out", out, "--iterations", 10**9, "--jobs", 2
-        )
 
 
 def test_a_scene_that_is_no_longer_wanted_is_given_up(folder: Path, tmp_path: Path) -> None:
@@ -514,9 +464,3 @@ def test_scenes_wait_for_memory(
     ]
     seconds.sort()
     assert all(end <= begin for (_, end), (begin, _) in pairwise(seconds))
-
-
-def test_what_cannot_be_read_needs_no_memory(tmp_path: Path) -> None:
-    assert (
-        scenes.memory_of(SceneTask(tmp_path / "no", tmp_path, ReadOptions(), FitOptions()), 1) == 0
-    )

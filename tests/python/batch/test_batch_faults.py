@@ -67,30 +67,6 @@ def test_a_worker_that_ends_between_two_renames_loses_no_result(
     assert (old / "result.json").read_text() == there
 
 
-def test_what_a_straggler_sets_aside_meanwhile_is_put_back(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A worker may outlive a batch that was killed, and replace its result while all is cleared."""
-    old = result_folder(tmp_path / "out" / "one", "old")
-    aside = tmp_path / "out" / ".pbrfit" / "123456789abc-old"
-    aside.mkdir(parents=True)
-    looked = Path.iterdir
-    told: list[Path] = []
-
-    def iterdir(folder: Path) -> object:
-        found = list(looked(folder))
-        if folder == aside and not told:
-            told.append(folder)
-            old.rename(aside / "one")
-        return iter(found)
-
-    monkeypatch.setattr(Path, "iterdir", iterdir)
-    with place.of_batch(tmp_path / "out"):
-        assert (old / "result.json").read_text() == "old"
-    assert told
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["one"]
-
-
 def test_what_cannot_be_put_back_stays_for_the_next_batch(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -256,30 +232,25 @@ def test_what_somebody_put_into_a_result_is_not_lost(tmp_path: Path, how: str, o
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="rights are of another kind there")
-@pytest.mark.parametrize("what", ["", "images/light_00.exr"])
-def test_a_scene_that_may_not_be_read_fails_alone(tmp_path: Path, what: str) -> None:
+def test_scenes_that_may_not_be_read_fail_alone(tmp_path: Path) -> None:
     scenes = tmp_path / "scenes"
-    for name in ("one", "two"):
+    for name in ("one", "three", "two"):
         write_folder(scenes / name)
     (scenes / "lost+found").mkdir()
     closed(scenes / "lost+found")
-    path = closed(scenes / "two" / what)
+    picture = closed(scenes / "three" / "images" / "light_00.exr")
+    folder = closed(scenes / "two")
     arguments = ["decompose", scenes, "--out", tmp_path / "out", *FEW, "--quiet"]
     code, _, errors = as_nobody_special(arguments)
-    path.chmod(0o755)
+    for path in (picture, folder):
+        path.chmod(0o755)
     assert code == 1
     assert errors == (
-        f"pbrfit: {path if what else path / 'images'}: Permission denied\n"
-        f"pbrfit: 1 of 2 scenes failed: {scenes / 'two'}\n"
+        f"pbrfit: {picture}: Permission denied\n"
+        f"pbrfit: {folder / 'images'}: Permission denied\n"
+        f"pbrfit: 2 of 3 scenes failed: {folder.parent / 'three'}, {folder}\n"
     )
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["one"]
-
-
-def test_a_folder_of_the_file_system_is_no_scene(tmp_path: Path) -> None:
-    write_folder(tmp_path / "scenes" / "one")
-    (tmp_path / "scenes" / "lost+found" / "images").mkdir(parents=True)
-    command = ("decompose", tmp_path / "scenes", "--out", tmp_path / "out", *FEW, "--quiet")
-    assert ran(*command) == Ran(0, "", "")
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")

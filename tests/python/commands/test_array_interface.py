@@ -30,7 +30,7 @@ from scene_files import known, truth_of
 EXAMPLES = os.environ.get("PBRFIT_EXAMPLES")
 
 profile = settings(
-    max_examples=int(EXAMPLES or 30),
+    max_examples=int(EXAMPLES or 20),
     phases=(Phase.explicit, Phase.generate) if EXAMPLES else tuple(Phase),
     deadline=None,
     derandomize=EXAMPLES is None,  # the same examples in every run

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
-import dataclasses
 import json
 import re
 import subprocess
@@ -19,7 +17,6 @@ import pytest
 from command_runs import Ran, done, ran, refused
 from pbrfit import InputError, Result, Scene, cli, decompose
 from pbrfit.commands.decompose import MOST_USED
-from pbrfit.commands.fit_options import add_priors, given_priors
 from pbrfit.io import images
 from pbrfit.model.lighting import Lighting
 from pbrfit.result.options import Priors
@@ -135,27 +132,6 @@ def test_a_result_is_replaced_only_when_asked(folder: Path, tmp_path: Path) -> N
     done(*fit, 2, "--overwrite")
     assert outcome(out)["iterations"] == 2
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "scene"]
-
-
-@pytest.mark.parametrize("out", ["scene", "."])
-def test_the_scene_is_never_replaced_by_its_result(folder: Path, out: str) -> None:
-    assert "expected an earlier output to replace, found a folder without result.json" in refused(
-        "decompose", folder, "--out", folder.parent / out, "--overwrite"
-    )
-    assert len(list((folder / "images").iterdir())) == LIGHTS
-
-
-@pytest.mark.parametrize("command", ["decompose", "synth", "demo"])
-def test_only_an_earlier_output_is_replaced(folder: Path, command: str) -> None:
-    precious = folder / "thesis"
-    precious.mkdir()
-    (precious / "thesis.txt").write_text("three years")
-    arguments: tuple[str | Path | int, ...] = (command, precious, "--size", 8)
-    if command == "decompose":
-        arguments = (command, folder, "--out", precious, *FEW)
-    said = refused(*arguments, "--overwrite")
-    assert f"{precious}: expected an earlier output to replace" in said
-    assert [path.name for path in precious.iterdir()] == ["thesis.txt"]
 
 
 @pytest.fixture
@@ -297,23 +273,6 @@ def test_unusable_priors_are_named(folder: Path, prior: str, complaint: str) -> 
     assert complaint in refused("check-gradients", folder, "--prior", prior)
 
 
-def test_priors_that_are_asked_for_are_those_of_the_fit() -> None:
-    parser = argparse.ArgumentParser()
-    add_priors(parser)
-
-    def priors(*arguments: str) -> Priors:
-        return given_priors(parser.parse_args(arguments))
-
-    assert priors() == Priors()
-    assert priors("--no-priors") == Priors.none()
-    assert priors("--prior", "cohesion=2", "--prior", "material=0") == Priors(
-        material=0, cohesion=2
-    )
-    assert priors("--prior", "cohesion=2", "--prior", "cohesion=3").cohesion == 3
-    only = dataclasses.replace(Priors.none(), monochrome=0.5)
-    assert priors("--no-priors", "--prior", "monochrome=0.5") == only
-
-
 def test_penalties_that_the_solver_does_not_know_are_refused(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert refused("decompose", folder, "--out", out, "--prior", "sparsity=0.1") == (
@@ -323,15 +282,6 @@ def test_penalties_that_the_solver_does_not_know_are_refused(folder: Path, tmp_p
     assert not out.exists()
     with pytest.raises(InputError, match=r"^prior cohesion: expected --solver lbfgsb"):
         decompose(room(), priors=Priors(cohesion=1.0))
-
-
-def test_inspect_says_that_pictures_are_grey(tmp_path: Path) -> None:
-    folder = tmp_path / "scene"
-    grey = np.repeat(room().images[..., :1], 3, axis=-1)
-    Scene(images=grey, normals=room().normals, names=room().names).save(folder)
-    text = done("inspect", folder)
-    assert "colour            grey: one channel will be fitted\n" in text
-    assert f"unknowns          {3 * SIZE**2 + 16 * LIGHTS}\n" in text
 
 
 @pytest.mark.slow
@@ -553,17 +503,3 @@ def test_a_small_soft_limit_of_the_stack_is_raised(tmp_path: Path) -> None:
     write_folder(tmp_path / "scene")
     words = "ulimit -S -s 128; $pbrfit decompose scene --out out --iterations 2 --quiet"
     assert in_shell(tmp_path, words) == (0, "", "")
-
-
-@pytest.mark.filterwarnings("default")
-def test_what_libraries_warn_of_stays_off_the_terminal(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def warns(_: Any) -> int:
-        np.float64(1) / np.float64(0)
-        return 0
-
-    write_folder(tmp_path / "scene")
-    monkeypatch.setattr("pbrfit.commands.inspect.run", warns)
-    found = ran("inspect", tmp_path / "scene")
-    assert (found.code, found.err) == (0, "")

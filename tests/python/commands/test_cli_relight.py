@@ -23,7 +23,6 @@ from pbrfit.io import images
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.lighting import Lighting, rotated
 from pbrfit.result.relighting import specular_enhanced
-from pbrfit.result.relit_files import ANIMATIONS, write_animation
 from relit import ball, fitted, shaded_ball
 from scene_files import Argument, known, run, write_exr, write_folder, write_hdr
 from under_lamps import ball_under_lamps
@@ -216,35 +215,6 @@ def test_outside_the_mask_is_transparent(folders: Path, tmp_path: Path) -> None:
                     assert (rgba[~mask] == 0).all()
 
 
-@pytest.mark.parametrize("suffix", ANIMATIONS)
-@pytest.mark.parametrize("shape", ["rectangle", "two pixels", "all but one"])
-def test_animations_keep_masks_of_any_shape(tmp_path: Path, suffix: str, shape: str) -> None:
-    mask = np.full((12, 17), shape == "all but one")
-    if shape == "rectangle":
-        mask[3:9, 4:11] = True
-    elif shape == "two pixels":
-        mask[2, 3] = mask[9, 12] = True
-    else:
-        mask[5, 5] = False
-    frames = np.zeros((3, 12, 17, 4), np.uint8)
-    frames[..., :3] = np.arange(17)[:, None] * [14, 10, 3] + np.arange(3)[:, None, None, None]
-    frames[..., 3] = 255
-    frames[:, ~mask] = 0
-    write_animation(tmp_path / "out", suffix, iter(frames), 10)
-    with Image.open(tmp_path / "out") as picture:
-        for frame, expected in zip(ImageSequence.Iterator(picture), frames, strict=True):
-            found = np.asarray(frame.convert("RGBA"))
-            np.testing.assert_array_equal(found[..., 3], 255 * mask)
-            if suffix != ".gif":
-                np.testing.assert_array_equal(found[mask], expected[mask])
-
-
-def test_float32_holds_no_infinity(room: Path, tmp_path: Path) -> None:
-    found = written(room, tmp_path, "--light", "0,20", "--color", "1e200,1,1")
-    assert np.isfinite(found).all()
-    assert found.max() == np.finfo(np.float32).max
-
-
 def test_frames_in_a_folder(room: Path, tmp_path: Path) -> None:
     out = tmp_path / "frames"
     turn = ("relight", room, "--light", "-30,20", "--out", out, "--turntable")
@@ -259,22 +229,6 @@ def test_frames_in_a_folder(room: Path, tmp_path: Path) -> None:
     done(*turn, 3, "--overwrite")
     assert len(list(out.iterdir())) == 3
     assert [path.name for path in tmp_path.iterdir()] == ["frames"]
-
-
-@pytest.mark.parametrize("source", ["env", "sh"])
-def test_a_frame_is_the_picture_under_the_turned_light(
-    room: Path, pano: Path, tmp_path: Path, source: str
-) -> None:
-    light: tuple[str | Path, ...] = ("--env", pano)
-    if source == "sh":
-        light = ("--sh", room / "lighting.json", "--picture", "light_02")
-    out = tmp_path / "frames"
-    assert run("relight", room, *light, "--turntable", 2, "--out", out, "--quiet") == 0
-    for k in range(2):
-        expected = written(room, tmp_path, *light, "--rotate", 180 * k)
-        np.testing.assert_allclose(
-            exr(out / f"frame_000{k}.exr"), expected, rtol=0, atol=1e-6 * np.abs(expected).max()
-        )
 
 
 @pytest.mark.parametrize(("suffix", "kind"), [(".webp", "WEBP"), (".png", "PNG"), (".gif", "GIF")])
@@ -369,17 +323,6 @@ def test_what_is_no_result_folder(folders: Path, tmp_path: Path) -> None:
     (tmp_path / "damaged" / "lighting.json").unlink()
     assert "found one without lighting.json" in message(tmp_path / "damaged")
     assert not (tmp_path / "out.exr").exists()
-
-
-def test_an_output_that_exists(room: Path, tmp_path: Path) -> None:
-    command = ("relight", room, "--light", "0,0", "--out")
-    out = tmp_path / "out.png"
-    out.write_text("a picture that somebody made")
-    assert f"{out}: expected a file that does not exist yet" in refused(*command, out)
-    assert out.read_text() == "a picture that somebody made"
-    done(*command, out, "--overwrite")
-    with Image.open(out) as picture:
-        assert picture.size == (16, 16)
 
 
 def test_what_is_read_is_not_overwritten(room: Path, pano: Path) -> None:
@@ -505,24 +448,3 @@ def test_far_lamps_of_a_picture_go_around(lamps: Path, tmp_path: Path) -> None:
     first, second = (exr(tmp_path / "frames" / f"frame_000{k}.exr") for k in range(2))
     np.testing.assert_array_equal(first, written(lamps, tmp_path, "--picture", "a"))
     assert second[..., :3].mean() < first[..., :3].mean()  # from behind, ambient light is left
-
-
-def test_a_failure_on_the_way_leaves_nothing(
-    room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from pbrfit.commands import relight as command
-
-    calls = []
-
-    def fails(*arguments: Any, **more: Any) -> Array:
-        calls.append(arguments)
-        if len(calls) > 1:
-            raise KeyboardInterrupt
-        return relight(*arguments, **more)
-
-    monkeypatch.setattr(command, "relight", fails)
-    for out in ("frames", "out.gif", "out.webp", "out.png"):
-        calls.clear()
-        turntable = ("--light", "0,0", "--turntable", 3, "--out", tmp_path / "deep" / out)
-        assert run("relight", room, *turntable, "--quiet") == 130
-        assert list(tmp_path.iterdir()) == []

@@ -120,19 +120,6 @@ def test_the_second_signal_does_not_wait(here: Path) -> None:
     assert "out" not in tree(here)
 
 
-def test_other_signals_end_nothing(here: Path) -> None:
-    script = (
-        "signal.signal(signal.SIGUSR1, lambda *_: None)\n"
-        "signal.raise_signal(signal.SIGUSR1)\n"
-        "ready()\n"
-        "time.sleep(2 * ending.GRACE)\n"
-        "print('there')\n"
-    )
-    with ready(script, here) as process:
-        stdout, stderr = process.communicate(timeout=PATIENCE)
-    assert (process.returncode, stdout, stderr) == (0, "there\n", "")
-
-
 def test_renames_that_belong_together_are_waited_for(here: Path) -> None:
     script = (
         "import threading\n"
@@ -172,7 +159,7 @@ def test_a_forked_child_ends_without_its_parent(here: Path) -> None:
         assert process.wait(PATIENCE) == 0
 
 
-@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_the_command_says_so_once(here: Path, number: signal.Signals) -> None:
     script = (
         "from pbrfit import cli\n"

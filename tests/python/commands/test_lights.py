@@ -10,13 +10,12 @@ import pytest
 from PIL import Image
 
 from balls import COLOR, ball_pictures, far_lamps
-from command_runs import done, ran, refused
+from command_runs import done, refused
 from pbrfit import Scene
 from pbrfit.io.images import read_data
 from pbrfit.model.geometry import angles_between
-from pbrfit.report import lamp_sheet as drawn
 from pbrfit.scene.ball import Ball
-from scene_files import known, write_exr, write_folder, write_integers
+from scene_files import known, write_exr, write_folder
 
 SIZE = (90, 120)
 BALL = Ball(62.0, 41.0, 24.0)
@@ -74,13 +73,6 @@ def test_a_given_circle_and_an_albedo_give_colours(tmp_path: Path) -> None:
     np.testing.assert_allclose(lamps.colors, np.tile(COLOR, (3, 1)), rtol=0.05)
     twice = ("--circle", circle, "--circle", circle)
     assert done("lights", scene, *twice, "--overwrite", "--quiet") == ""
-
-
-def test_the_mask_does_not_hide_the_ball(tmp_path: Path) -> None:
-    """It leaves the ball out of the fit."""
-    scene = with_ball(tmp_path / "scene")
-    write_integers(scene / "mask.png", np.pad(np.ones((10, SIZE[1])), ((0, SIZE[0] - 10), (0, 0))))
-    done("lights", scene)
 
 
 def test_a_file_is_converted(folder: Path, tmp_path: Path) -> None:
@@ -157,18 +149,3 @@ def test_options_without_meaning_and_files_of_other_pictures_are_refused(
     (tmp_path / "dome.lp").write_text("1\nx 0 0 1\n")
     expected = "dome.lp: expected a lamp for each of the 3 pictures, found 1"
     assert expected in refused(*convert)
-
-
-def test_a_preview_that_cannot_be_written_leaves_no_lamps(folder: Path, tmp_path: Path) -> None:
-    (tmp_path / "dome.lp").write_text(LP)
-    (tmp_path / "taken").mkdir()
-    found = ran("lights", folder, "--from", tmp_path / "dome.lp", "--preview", tmp_path / "taken")
-    assert found.code == 2
-    assert not (folder / "lights.json").exists()
-
-
-def test_lamps_behind_are_drawn_too(tmp_path: Path) -> None:
-    directions = np.array([[0, 0, 1.0], [0, 0, -1.0], [1, 0, 0]])
-    png = drawn.preview(("a", "b", "c"), directions, None)
-    (tmp_path / "a.png").write_bytes(png)
-    assert read_data(tmp_path / "a.png").shape == (744, 744, 4)

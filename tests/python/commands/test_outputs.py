@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from command_runs import done, ran, refused
-from pbrfit.acquire.scene_output import place
 from pbrfit.export import EXPORT_FOLDER, export_result
 from pbrfit.export.presets import PRESETS
 from pbrfit.fit.decompose import decompose
@@ -19,7 +18,7 @@ from pbrfit.result.result import Result
 from pbrfit.scene.folder import SCENE_FOLDER
 from pbrfit.scene.options import Source
 from pbrfit.synthetic import make_scene
-from scene_files import Argument, tree, truth_of, write_folder
+from scene_files import Argument, truth_of, write_folder
 
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
 
@@ -166,20 +165,3 @@ def test_no_file_is_written_through_a_link(
     )
     assert (tmp_path / "theirs").read_text() == "precious"
     assert out.is_symlink()
-
-
-@POSIX
-def test_only_what_runs_make_is_removed_from_a_generated_scene(tmp_path: Path) -> None:
-    """Folders of killed runs have a name of their own form."""
-    out, theirs = tmp_path / "out", tmp_path / "theirs"
-    for folder in (out / ".pbrfit-generate-mine", out / ".pbrfit-generate-0123456789ab", theirs):
-        folder.mkdir(parents=True)
-        (folder / "notes.txt").write_text("mine")
-    (out / ".pbrfit-generate-ba9876543210").symlink_to(theirs)
-    with place(out):
-        pass
-    assert sorted(tree(out)) == [
-        *(".pbrfit-generate-ba9876543210", ".pbrfit-generate-mine"),
-        ".pbrfit-generate-mine/notes.txt",
-    ]
-    assert sorted(tree(theirs)) == ["notes.txt"]

@@ -16,18 +16,18 @@ import pytest
 
 import pbrfit
 from command_runs import done, ran
-from left_out_pictures import DECISION, EXPLAINED, LAMP, SENTENCE
+from left_out_pictures import DECISION, EXPLAINED, SENTENCE
 from pbrfit.commands import progress
 from pbrfit.commands.completion import subcommands, whole_parser
 from pbrfit.commands.messages import OPTIONS, complain, in_flags
 from pbrfit.commands.scene_display import Row, batch_table
-from pbrfit.commands.terminal import CUBE, held_out_lines, verdict_lines
+from pbrfit.commands.terminal import verdict_lines
 from pbrfit.fit.decompose import decompose
 from pbrfit.fit.run import Progress
 from pbrfit.io.json_files import read_as
 from pbrfit.result.held_out import HeldOut
 from pbrfit.result.result import Result
-from pbrfit.result.verdict import LEVELS, MARKS, Level, Verdict
+from pbrfit.result.verdict import LEVELS, Verdict
 from pbrfit.steps import step
 from pbrfit.synthetic import make_scene
 from scene_files import write_folder
@@ -79,18 +79,6 @@ def test_three_lines_and_what_to_do_next() -> None:
     assert on(Stream(terminal=False), verdict_lines, {}, ()) == []
 
 
-def test_two_lines_about_left_out_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert on(Stream(terminal=False), held_out_lines, EXPLAINED) == [SENTENCE, DECISION]
-    assert on(Stream(terminal=False), held_out_lines, None) == []
-    sentence, decision = on(Stream(terminal=True), held_out_lines, EXPLAINED)
-    assert decision.startswith(f"\x1b[2mchosen:\x1b[0m {LAMP}; second:")
-    monkeypatch.setenv("NO_COLOR", "1")
-    sentence, decision = on(Stream(terminal=True), held_out_lines, EXPLAINED)
-    assert max(map(len, f"{sentence}\n{decision}".split("\n"))) < 80
-    assert sentence.replace("\n  ", " ") == SENTENCE
-    assert decision.replace(f"\n{' ' * len('chosen: ')}", " ") == DECISION
-
-
 def test_colors_are_for_terminals_that_want_them(monkeypatch: pytest.MonkeyPatch) -> None:
     plain = on(Stream(terminal=False), verdict_lines, VERDICTS, STEPS)
     colored = on(Stream(terminal=True), verdict_lines, VERDICTS, STEPS)
@@ -109,30 +97,6 @@ def test_levels_differ_without_colors_and_without_the_discs() -> None:
         lines = on(Stream(terminal=False, encoding=encoding), verdict_lines, VERDICTS, ())
         assert len({line[0] for line in lines}) == len(LEVELS)
         assert all(line[0].encode(encoding) for line in lines)
-
-
-@pytest.mark.parametrize("level", LEVELS)
-def test_colors_are_seen_on_black_and_on_white(level: Level) -> None:
-    ink = MARKS[level].ink
-    assert set(ink) <= set(CUBE)
-    shares = [code / 255 for code in ink]
-    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in shares]
-    luminance = 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
-    assert (luminance + 0.05) / 0.05 >= 3
-    assert 1.05 / (luminance + 0.05) >= 3
-    # The same hue as in pictures: the same channel is the strongest.
-    assert ink.index(max(ink)) == MARKS[level].color.index(max(MARKS[level].color))
-
-
-def test_long_steps_are_wrapped_in_a_terminal_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("NO_COLOR", "1")
-    monkeypatch.setenv("COLUMNS", "40")
-    step = "one word after another " * 4
-    [line] = on(Stream(terminal=True), verdict_lines, {}, (step,))
-    assert all(len(part) < 40 for part in line.split("\n"))
-    assert {part[:6] for part in line.split("\n")[1:]} == {" " * 6}
-    [line] = on(Stream(terminal=False), verdict_lines, {}, (step,))
-    assert "\n" not in line
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,6 @@ from pbrfit.io import images
 from pbrfit.io.color import decode_srgb
 from pbrfit.kernel import sh_basis, view_directions
 from pbrfit.model import panorama
-from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import Materials
 from pbrfit.result.options import Priors
 from pbrfit.synthetic import make_scene
@@ -508,17 +507,6 @@ def test_a_panorama_of_a_negative_light_is_the_best_there_is(seed: int) -> None:
         np.testing.assert_allclose(found[..., c].ravel(), expected, atol=2e-4 * expected.max())
 
 
-def test_a_light_that_is_nowhere_negative_comes_back(result: Result, tmp_path: Path) -> None:
-    lights = np.random.default_rng(2).normal(size=(3, 16, 3)) * 0.1
-    lights[:, 0] = 4.0
-    bright = dataclasses.replace(result, lighting=lights)
-    exported = export_result(bright, tmp_path / "out", format="png")
-    for of, light in zip(exported.panoramas, lights, strict=True):
-        assert of.difference == 0
-        found = panorama.read(tmp_path / "out" / "lights" / of.file)
-        np.testing.assert_allclose(panorama.project(found), light, atol=1e-6)
-
-
 def test_black_surfaces_and_no_light_have_a_black_panorama() -> None:
     for light, response in (
         (lamp(), np.zeros((3, 16, 16))),
@@ -527,13 +515,6 @@ def test_black_surfaces_and_no_light_have_a_black_panorama() -> None:
         radiance, difference = nonnegative_radiance(light, response, 8, light)
         np.testing.assert_array_equal(radiance, 0)
         assert difference == 0
-
-
-def test_the_lights_are_there_to_the_last_bit(result: Result, tmp_path: Path) -> None:
-    export_result(result, tmp_path / "out", format="png")
-    again = Lighting.load(tmp_path / "out" / "lights" / "lighting.json")
-    assert again.pictures == result.pictures
-    np.testing.assert_array_equal(again.coefficients, result.lighting)
 
 
 def test_lights_that_panoramas_cannot_hold_are_warned_of(

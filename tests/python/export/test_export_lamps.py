@@ -183,21 +183,6 @@ def test_a_texture_map_is_the_least_squares_fit_to_the_bit_of_its_codes(result: 
     assert (np.sqrt(np.mean(difference**2, axis=0)) <= 0.005 * span + 0.5).all()
 
 
-def test_a_texture_map_is_the_right_way_up(result: Result) -> None:
-    content, _ = ptm(matt(result))
-    above = shown(content, np.array([0, 0.8, 0.6])).mean(axis=-1)
-    right = shown(content, np.array([0.8, 0, 0.6])).mean(axis=-1)
-    assert above[:10].mean() > 2 * above[-10:].mean()
-    assert right[:, -10:].mean() > 1.5 * right[:, :10].mean()
-
-
-def test_a_texture_map_as_a_command_writes_it(result: Result, tmp_path: Path) -> None:
-    result.save(tmp_path / "result")
-    said = done("export", tmp_path / "result", "--out", tmp_path / "out", "--format", "ptm")
-    assert "relit.ptm" in said
-    assert (tmp_path / "out" / "relit.ptm").read_bytes() == ptm(Result.load(tmp_path / "result"))[0]
-
-
 def of_rti(content: bytes) -> Array:
     """Coefficients (H, W, 3, 9) of an .rti file, as RTIViewer and relight read it."""
     *lines, data = content.split(b"\n", 4)
@@ -256,13 +241,6 @@ def test_harmonics_as_a_command_writes_them(result: Result, tmp_path: Path, form
         web, _ = openlime(Result.load(tmp_path / "result"))
         expected = {f"openlime/{name}": content for name, content in web.items()}
     assert {name: (tmp_path / "out" / name).read_bytes() for name in expected} == expected
-
-
-def test_black_surfaces_have_a_texture_map(result: Result) -> None:
-    black = ball(result, albedo=0.0, roughness=1.0)
-    black = dataclasses.replace(black, lamps=None, height=None)
-    assert np.isfinite(shown(ptm(black)[0], np.array([0, 0, 1.0]))).all()
-    assert np.isfinite(of_rti(rti(black)[0])).all()
 
 
 @pytest.mark.parametrize(

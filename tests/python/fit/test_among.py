@@ -15,7 +15,7 @@ from finite_differences import ridders
 from pbrfit import _core
 from pbrfit.model.reflection import MODELS
 from random_pixels import Array
-from shared_system import Seen, System, accuracy, check_best_albedo, check_equations, close, dense
+from shared_system import Seen, System, accuracy, check_equations, close, dense
 
 PIXELS = 150
 """More than are worked on side by side."""
@@ -97,14 +97,6 @@ def test_loss_and_gradient_are_those_of_the_slow_model(kind: Surroundings, pictu
 
 
 @every_kind
-def test_residuals_are_those_of_the_slow_model(kind: Surroundings) -> None:
-    example = example_of(kind)
-    found = example.problem().residuals(example.x(), SOME)
-    expected = (example.radiance(example.truth) - example.targets)[SOME].swapaxes(0, 1)
-    close(found, expected, 1e-7)
-
-
-@every_kind
 @any_number
 def test_slopes_are_those_of_differences(kind: Surroundings, pictures: int) -> None:
     """By every unknown, in float64: Σ ω (I − T)² of each pixel against its gradient."""
@@ -148,26 +140,6 @@ def test_normal_equations_are_products_of_derivatives(kind: Surroundings) -> Non
 
 
 @every_kind
-def test_light_equations_are_those_of_the_slow_model(kind: Surroundings) -> None:
-    example = example_of(kind)
-    maps = example.x()[: kind.unknowns * PIXELS]
-    gram, right = example.problem().light_equations(maps)
-    w, omega = example.slopes()[1], example.omega
-    dark = example.targets.copy()
-    if example.bounced is not None:
-        of_material = np.real(example._factors(example.truth))
-        dark -= np.einsum("pcs,psnc->pnc", of_material, example.bounced)
-    close(right, np.einsum("pnc,pck->cnk", omega * dark, w), 1e-12)
-    expected = np.einsum("pnc,pck,pcl->cnkl", omega, w, w)
-    close(gram, expected if kind.weights else expected[:, :1] / 1.0, 1e-12)
-
-
-@every_kind
-def test_best_albedo_is_that_of_least_squares(kind: Surroundings) -> None:
-    check_best_albedo(example_of(kind))
-
-
-@every_kind
 def test_planted_materials_are_found_from_nothing(kind: Surroundings) -> None:
     """As well as under the open sky."""
     example = Among(kind, 60, 16)
@@ -185,25 +157,6 @@ def test_planted_materials_are_found_from_nothing(kind: Surroundings) -> None:
         assert error.max() < most
         if exact:
             np.testing.assert_allclose(squares, example.squares(found), rtol=0, atol=1e-20)
-
-
-@every_kind
-def test_fitted_materials_leave_what_the_slow_model_says(kind: Surroundings) -> None:
-    example = example_of(kind)
-    nodes = np.linspace(0.05, 1, 8), np.linspace(0, 1, 4)
-    for exact_steps in (3, 0):
-        found, squares = example.problem().fit_materials(
-            example.x(), example.everything, *nodes, starts=2, steps=30, exact_steps=exact_steps
-        )
-        share = 1e-11 if exact_steps else 1e-5
-        np.testing.assert_allclose(squares, example.squares(found), rtol=share)
-        assert (squares <= example.squares(example.unknowns(example.truth)) * (1 + 1e-5)).all()
-        # At a minimum: no slope where no bound is; but for pixels that hardly tell anything.
-        x = np.concatenate([found.T.ravel(), example.x()[found.size :]])
-        matrices, gradient, _ = example.problem().normal_equations(x, example.everything)
-        scale = np.sqrt(np.einsum("pii->pi", matrices) * squares[:, None])
-        inner = (found > 1e-6) & (found < 1 - 1e-6)
-        assert np.median(np.abs(gradient[inner]) / scale[inner]) < 1e-6
 
 
 @dataclass(frozen=True)
@@ -264,14 +217,3 @@ def test_pictures_are_those_of_the_slow_model(model: str, bounce: bool) -> None:
         bounced=example.given_bounced(),
     )
     close(found.swapaxes(0, 1), example.radiance(example.truth), 1e-12)
-
-
-def test_the_rows_of_the_open_sky_change_rounding_alone() -> None:
-    for model in MODELS:
-        example = Among(Surroundings(model=model, bounce=False), PIXELS, 5, noise=0.2)
-        rows = open_rows(example.given, example.views, model)
-        among, without = example.problem(transfer=rows), example.problem(transfer=None)
-        for a, b in zip(
-            among.value_and_grad(example.x()), without.value_and_grad(example.x()), strict=True
-        ):
-            close(np.asarray(a), np.asarray(b), 1e-6)

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from pbrfit import Objective, Scene, decompose
 from pbrfit.model.reflection import MODELS, Model
 from pbrfit.result.verdict import ROUGH_MAX
 from pbrfit.synthetic import make_scene
 from scene_files import known, truth_of
-from scene_kinds import all_pixels, known_lights
-from tiled import in_tiles
+from scene_kinds import known_lights
 
 pytestmark = pytest.mark.usefixtures("uncompared")
 
@@ -29,42 +26,20 @@ def room(model: Model, size: int = 16, noise: float = 0.0) -> Scene:
     return make_scene("room", size=size, lights=16, held_out=2, seed=2000, model=model, noise=noise)
 
 
-@both_models
-def test_mirrors_do_not_move_with_the_lights(model: Model) -> None:
-    scene = room(model)
-    objective = Objective(scene, model=model, priors=None)
-    true = truth_of(scene).materials
-    x = objective.pack(true.albedo, np.zeros_like(true.roughness), true.metallic)
-    pixels = all_pixels(objective)
-    moves = np.random.default_rng(0).normal(size=x[objective.layout.lighting].size)
-    # At roughness 0 nothing depends on roughness; what rounding leaves of that would go any way.
-    followed = objective.problem.back_substitute(objective.for_core(x), pixels, moves, damping=1e-3)
-    assert not followed[:, 3].any()
-
-
-@both_models
-def test_exact_pictures_give_exact_materials(model: Model) -> None:
-    result = decompose(room(model), solver="gauss-newton", priors=None, uncertainty=False)
+def test_exact_pictures_give_exact_materials() -> None:
+    """Of the paper's model test_solvers.py says it."""
+    result = decompose(room("principled"), solver="gauss-newton", priors=None, uncertainty=False)
     assert max(result.metrics[name] for name in MAPS) <= 1e-5
     assert result.metrics["relight_rmse"] <= 1e-5
 
 
-@both_models
-def test_known_lights_give_exact_materials(model: Model) -> None:
-    result = decompose(known_lights(room(model)), priors=None, uncertainty=False)
+def test_known_lights_give_exact_materials() -> None:
+    result = decompose(known_lights(room("principled")), priors=None, uncertainty=False)
     assert max(result.metrics[name] for name in MAPS) <= 1e-6
 
 
-def test_lbfgsb_descends() -> None:
-    scene = room("principled", noise=0.01)
-    result = decompose(scene, solver="lbfgsb", iterations=30, priors=None, uncertainty=False)
-    loss = result.history["loss"]
-    assert loss[-1] < 0.2 * loss[0]
-    assert result.metrics["recon_rmse"] < 0.03
-
-
 def test_the_default_fit_learns_a_material_prior_and_comes_near_the_truth() -> None:
-    scene = room("principled", size=24, noise=0.01)
+    scene = room("principled", size=18, noise=0.01)
     result = decompose(scene, refine_normals="off", light="sh", uncertainty=False)
     assert "prior material" not in " ".join(result.left_out)
     assert result.metrics["recon_rmse"] < 0.0105
@@ -101,32 +76,3 @@ def test_deviations_are_of_the_size_of_the_errors(model: Model) -> None:
     # Samples are used thrice, so deviations are √3 times those by noise alone.
     # 0.455: the median of a normal's square
     assert 0.5 / np.sqrt(3) < np.sqrt(np.median(off**2) / 0.455) < 2
-
-
-@pytest.mark.slow
-def test_wrong_normals_are_refined() -> None:
-    scene = room("principled", size=16, noise=0.001)
-    rows, columns = np.mgrid[:16, :16] / 16 * 2 * np.pi
-    off = 0.15 * np.stack([np.sin(rows), np.cos(columns), np.zeros_like(rows)], axis=-1)
-    normals = scene.normals + off
-    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    given = dataclasses.replace(scene, normals=normals)
-    result = decompose(given, refine_normals="on", uncertainty=False, iterations=60)
-
-    def degrees(found: NDArray[np.float64]) -> float:
-        cosines = np.clip(np.sum(found * scene.normals, axis=-1), -1, 1)
-        return float(np.degrees(np.median(np.arccos(cosines))))
-
-    assert result.refinement.refined
-    assert degrees(result.normals) < 0.5 * degrees(normals)
-
-
-@pytest.mark.slow
-def test_tiles_find_what_the_whole_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = room("principled", size=20)
-    whole = decompose(scene, refine_normals="off", priors=None, uncertainty=False)
-    in_tiles(monkeypatch, side=14, subset=100)
-    tiled = decompose(scene, refine_normals="off", priors=None, uncertainty=False)
-    assert "tiles" in tiled.stages[-1].name
-    for name in ("albedo", "roughness", "metallic"):
-        np.testing.assert_allclose(getattr(tiled, name), getattr(whole, name), atol=1e-4)

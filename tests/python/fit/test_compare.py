@@ -267,7 +267,6 @@ def test_nothing_is_compared_where_it_cannot_be_or_all_is_told() -> None:
 @pytest.mark.parametrize(
     ("options", "why"),
     [
-        ({"light": "sh"}, "not asked for"),
         ({"mono_light": True}, "not asked for"),
         ({"iterations": 0}, "not compared with environment light"),
         ({}, "environment light explains the pictures"),

@@ -56,15 +56,6 @@ def test_known_lights_share_nothing_and_others_do() -> None:
     assert len(known.modes) == 0
 
 
-def test_a_picture_too_small_for_neighbours_has_a_discrepancy() -> None:
-    scene = room(0.01)
-    mask = np.zeros((24, 24), bool)
-    mask[::5, ::5] = True
-    found = at_truth(dataclasses.replace(scene, mask=mask))
-    assert found.shared == 0
-    assert np.isfinite(found.of_pixel)
-
-
 def test_surfaces_are_mostly_dielectric_and_seldom_mirrors() -> None:
     roughness, metallic = (of.ravel() for of in np.meshgrid(np.linspace(0.03, 1, 33), [0, 0.5, 1]))
     found = population(roughness, metallic)
@@ -95,13 +86,3 @@ def test_pixels_that_share_an_error_leave_more_to_the_prior() -> None:
     assert posterior.Pooling(channels=1).prior_pixels(10) == 3 * posterior.Pooling().prior_pixels(
         10
     )
-
-
-def test_intervals_hold_what_they_say() -> None:
-    share = np.array([[0.02, 0.02, 0.92, 0.02, 0.02]], np.float32)
-    values = np.linspace(0, 1, 5)
-    low, high = posterior._interval(share, values, 0.0)
-    assert (low[0], high[0]) == (0.25, 0.75)
-    two = np.array([[0.9, 0.0, 0.0, 0.0, 0.1]], np.float32)
-    low, high = posterior._interval(two, values, 0.0)
-    assert (low[0], high[0]) == (0.0, 1.0)  # both modes, each likely enough

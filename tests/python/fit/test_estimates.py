@@ -14,13 +14,10 @@ from pbrfit.cli import main
 from pbrfit.fit.estimates import (
     ALBEDO_SIGMA,
     DARKEST,
-    FINISH_SIGMA,
-    evidence,
     fused,
     mismatch,
     used,
 )
-from pbrfit.fit.objective import Objective
 from pbrfit.fit.tiles.windows import Window, cut
 from pbrfit.io import images
 from pbrfit.model.materials import Materials
@@ -56,22 +53,6 @@ def constant(value: float, size: int = 4) -> Materials:
 def uncertain(relative: float, brightness: float, albedo: float, size: int = 4) -> Uncertainty:
     maps = constant(np.hypot(relative, brightness) * (albedo + DARKEST), size)
     return Uncertainty(maps, maps, maps, None, 1.0, (brightness,) * 3, {})
-
-
-def test_evidence_of_nodes() -> None:
-    scene = with_maps(room())
-    pixels, nodes = np.array([0, 7], np.uint64), np.array([[0.2, 0.0], [0.9, 1.0]])
-    maps = known(scene.estimates)
-    found = evidence(Objective(scene), pixels, nodes)
-    for row, place in zip(found, scene.places[pixels], strict=True):
-        told = np.array([maps.roughness.ravel()[place], maps.metallic.ravel()[place]])
-        wanted = np.exp(-(((told - nodes) / FINISH_SIGMA) ** 2).sum(axis=1) / 2)
-        np.testing.assert_allclose(row, wanted, rtol=1e-4)
-    unknown = Materials(maps.albedo, np.full_like(maps.roughness, np.nan), maps.metallic)
-    some = evidence(Objective(replace(scene, estimates=unknown)), pixels, np.array([[0.2, 0.3]]))
-    off = (maps.metallic.ravel()[scene.places[0]] - 0.3) / FINISH_SIGMA
-    np.testing.assert_allclose(some[0], np.exp(-(off**2) / 2), rtol=1e-4)
-    np.testing.assert_array_equal(evidence(Objective(room()), pixels, nodes), np.ones((2, 1)))
 
 
 def test_albedo_is_the_mean_by_inverse_variances() -> None:
@@ -145,7 +126,7 @@ def test_maps_of_another_view_are_not_used(caplog: pytest.LogCaptureFixture) -> 
     assert "no albedo among them" in mismatch(replace(scene, estimates=alone))
 
 
-@pytest.mark.parametrize("seed", [3, 4, 5, 6])
+@pytest.mark.parametrize("seed", [3, 4])
 def test_maps_of_other_views_do_not_fit(seed: int) -> None:
     scene = with_maps(room(seed), seed)
     assert not mismatch(scene)
@@ -155,7 +136,7 @@ def test_maps_of_other_views_do_not_fit(seed: int) -> None:
     even = Materials(*(np.full_like(plane, 0.5) for plane in maps.values()))
     for other in (mirrored, moved, even):
         assert "of another view" in mismatch(replace(scene, estimates=other))
-    for other_seed in {3, 4, 5, 6} - {seed}:
+    for other_seed in {3, 4, 5} - {seed}:
         other = known(with_maps(room(other_seed), other_seed).estimates)
         assert "of another view" in mismatch(replace(scene, estimates=other))
 

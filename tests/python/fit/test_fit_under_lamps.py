@@ -196,16 +196,6 @@ def test_a_prior_alone_is_its_mean(model: str) -> None:
 
 
 @every_model
-def test_without_data_the_start_stays(model: str) -> None:
-    given, _ = example(20, 6, model, ambient=True)
-    given["roughness"][:5] = 0
-    found, cost, information = fitted(given, weights=np.zeros_like(given["weights"]))
-    np.testing.assert_array_equal(found, start_of(given))
-    assert (cost == 0).all()
-    assert (information == 0).all()
-
-
-@every_model
 def test_extreme_pictures_are_fitted_without_end_or_nan(model: str) -> None:
     given, _ = example(40, 7, model, ambient=True)
     given["albedo"][::3], given["albedo"][1::3] = 0, 1
@@ -254,28 +244,3 @@ def test_a_mirror_that_is_none_leaves_its_start(model: str) -> None:
     assert np.median(cost) < 0.1 * np.median(at_zero)
     assert (cost <= fitted(given, iterations=0)[1]).all()
     assert share(found[:, 6:7], planted[:, 6:7], 1e-3) > 0.2
-
-
-@every_model
-def test_pixels_do_not_know_of_each_other_or_of_threads(model: str) -> None:
-    given, _ = example(300, 10, model, ambient=True)
-    one, two = (of_lamp_samples("fit", given | {"threads": t}) for t in (1, 2))
-    for a, b in zip(one, two, strict=True):
-        np.testing.assert_array_equal(a, b)
-    some = slice(137, 139)
-    own = {
-        name: value[some]
-        for name, value in given.items()
-        if isinstance(value, np.ndarray) and name not in ("picture_of", "ambient")
-    }
-    for a, b in zip(one, of_lamp_samples("fit", given | own), strict=True):
-        np.testing.assert_array_equal(a[some], b)
-
-
-def test_lamps_may_be_alike_of_all_pixels() -> None:
-    given, _ = example(20, 11, "paper")
-    lamps = {name: given[name][:1] for name in ("directions", "intensities")}
-    each = {name: np.repeat(of, 20, axis=0) for name, of in lamps.items()}
-    found = (of_lamp_samples("fit", given | told) for told in (lamps, each))
-    for a, b in zip(*found, strict=True):
-        np.testing.assert_array_equal(a, b)

@@ -62,7 +62,7 @@ def said(scene: Scene) -> tuple[str, str] | None:
 
 @pytest.mark.parametrize("known", [True, False])
 @pytest.mark.parametrize(
-    "seed", [0, 1, 3, 4, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 5))]
+    "seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3, 4, 5))]
 )
 def test_what_is_right_is_not_contradicted_and_what_is_wrong_is(seed: int, known: bool) -> None:
     scene = drawn(seed, known=known)

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 import pbrfit
 from pbrfit import Objective, Scene
-from pbrfit.fit import pixels, settings
+from pbrfit.fit import settings
 from pbrfit.fit.joint import JointFit, SharedFit, minimize
 from pbrfit.fit.light_prior import LightPrior
-from pbrfit.fit.normal_equations import as_in_x, solver_of
+from pbrfit.fit.normal_equations import as_in_x
 from pbrfit.fit.pixels import fit_all, place, retry_outliers, taken
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.synthetic import make_scene
@@ -101,14 +101,6 @@ def gradient_of(fit: JointFit) -> Array:
     return system[0]
 
 
-def test_lights_that_no_pixel_sees_stay() -> None:
-    found = solver_of(np.diag([1.0, 0.0, 2.0]), 0.0)(np.array([1.0, 0.0, 2.0]))
-    np.testing.assert_allclose(found, [1, 0, 1], atol=1e-9)
-    assert (solver_of(np.zeros((2, 2)), 0.0)(np.zeros(2)) == 0).all()
-    # No sum of squares: its diagonal stands for it.
-    assert (solver_of(np.array([[1.0, 3.0], [3.0, -2.0]]), 0.0)(np.ones(2)) == [1, 0.5]).all()
-
-
 @each_prior
 @each_kind
 def test_where_pixels_are_at_their_best_the_gradient_is_that_of_the_sum(
@@ -156,21 +148,6 @@ def test_conjugate_gradients_solve_the_dense_system(
     assert predicted == pytest.approx(-(gradient @ expected), rel=1e-6)
 
 
-def test_what_pieces_say_is_summed(noisy: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    fit = joint_fit(objective_of(noisy, "colour"), "clusters")
-    whole = gradient_of(fit)
-    moves, _ = fit.shared_moves(0.0)
-    x, total = fit.x.copy(), fit.total(fit.x, fit.sum_sq, fit.offsets)
-    lower = fit.step(moves, total)
-    after, fit.x[:] = fit.x.copy(), x
-    monkeypatch.setattr(pixels, "PIXELS_PER_CALL", 100)
-    again = joint_fit(fit.objective, "clusters")
-    in_pieces = gradient_of(again)
-    np.testing.assert_allclose(in_pieces, whole, rtol=0, atol=1e-12 * np.abs(whole).max())
-    assert again.step(moves, total) == pytest.approx(lower, rel=1e-12)
-    np.testing.assert_array_equal(again.x, after)
-
-
 @each_prior
 @each_kind
 def test_each_step_lowers_the_sum(noisy: Scene, kind: str, priors: str) -> None:
@@ -205,19 +182,6 @@ def test_planted_lights_are_found(room: Scene) -> None:
     np.testing.assert_allclose(found * scale, planted, rtol=0, atol=1e-5 * np.abs(planted).max())
 
 
-@pytest.mark.parametrize("looks", range(6))
-def test_a_step_that_is_stopped_is_not_taken(
-    noisy: Scene, looks: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(pixels, "PIXELS_PER_CALL", 200)
-    left = iter([False] * looks)
-    fit = joint_fit(Objective(noisy), stop=lambda: next(left, True))
-    before = fit.x.copy(), fit.sum_sq.copy()
-    assert minimize(fit, 1, settings.GAIN_MIN) == 0
-    np.testing.assert_array_equal(fit.x, before[0])
-    np.testing.assert_array_equal(fit.sum_sq, before[1])
-
-
 def test_a_pixel_in_a_wrong_minimum_is_freed(room: Scene) -> None:
     objective = Objective(room)
     x = at_truth(objective, room)
@@ -235,15 +199,6 @@ def test_a_pixel_in_a_wrong_minimum_is_freed(room: Scene) -> None:
     retry_outliers(objective, x, sum_sq)
     assert sum_sq[still].max() <= EXACT**2 * 36
     np.testing.assert_allclose(x, at_truth(objective, room), atol=1e-4)
-
-
-def test_where_nothing_stands_out_nothing_is_tried_again(noisy: Scene) -> None:
-    objective = Objective(noisy)
-    x, sum_sq = at_truth(objective, noisy), np.ones(objective.pixels)
-    before = x.copy()
-    retry_outliers(objective, x, sum_sq)
-    np.testing.assert_array_equal(x, before)
-    assert (sum_sq == 1.0).all()
 
 
 def test_progress_is_told_of_every_joint_step(room: Scene) -> None:

@@ -150,17 +150,6 @@ def test_equal_weights_are_no_weights(value: float, shape: tuple[int, ...], solv
 
 
 @pytest.mark.slow
-def test_only_ratios_of_weights_matter() -> None:
-    a, b = (
-        pbrfit.decompose(
-            dataclasses.replace(in_color(), weights=factor * some_weights()), iterations=9
-        )
-        for factor in (1.0, 2.0**100)
-    )
-    assert_same_bits(a, b)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("channels", [(), (3,)])
 def test_samples_of_weight_zero_are_not_looked_at(channels: tuple[int, ...]) -> None:
     scene = in_color()

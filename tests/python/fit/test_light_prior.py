@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from pbrfit import Objective, Scene, decompose
-from pbrfit.fit.light_prior import BAND_SIGMA, DIM_SHARE, SCALE_SIGMA, LightPrior
-from pbrfit.fit.settings import MEAN_RADIANCE
+from pbrfit.fit.light_prior import BAND_SIGMA, SCALE_SIGMA, LightPrior
 from pbrfit.synthetic import make_scene
 from scene_files import truth_of
 from scene_kinds import FREE_LIGHTS, objective_of
@@ -65,43 +64,6 @@ def test_it_is_the_normal_distribution_of_its_definition(room: Scene) -> None:
     one_brighter[:16] *= 2
     assert prior.cost(prior.mean) == 0
     assert prior.cost(all_brighter) < prior.cost(one_brighter)
-
-
-def test_bands_of_a_dark_light_are_not_known_to_be_dark(room: Scene) -> None:
-    objective = objective_of(room, "colour")
-    x, lights = objective.start(), objective.layout.lighting
-    assert lights is not None
-    x[lights].reshape(4, 16, 3)[1] = 0
-    prior = LightPrior.around(objective, x)
-    darkest = 1 / np.sqrt(prior.diagonal.max()) / BAND_SIGMA
-    assert darkest == pytest.approx(DIM_SHARE * np.abs(x[lights].reshape(4, 16, 3)[:, 0]).mean())
-    x[lights] = 0
-    assert LightPrior.around(objective, x).mean[0] == MEAN_RADIANCE  # they may become brighter
-
-
-def test_grey_lights_cost_nothing_as_to_colour(room: Scene) -> None:
-    for kind in FREE_LIGHTS:
-        prior = prior_of(objective_of(room, kind), "grey")
-        of_one = np.random.default_rng(3).normal(size=prior.mean.size // prior.channels)
-        assert prior.cost(np.tile(of_one, prior.channels)) == pytest.approx(0, abs=1e-25)
-        if prior.channels > 1:
-            assert prior.cost(np.concatenate([of_one, np.tile(0 * of_one, 2)])) > 0
-
-
-def test_pixels_outweigh_noise_and_nothing_else(room: Scene) -> None:
-    objective = objective_of(room, "colour")
-    prior = LightPrior.around(objective, objective.start())
-    v = np.random.default_rng(4).normal(size=prior.mean.size)
-    for weight, noise in ((0.7, 0.2), (0.2, 0.2), (0.1, 0.2)):
-        judged = replace(prior.weighing(weight, noise, 50), grey=0.3)
-        assert judged.of_pixels(50).weight == pytest.approx(weight)
-        assert judged.noise == min(weight, noise)
-        for few, many in ((1, 250), (50, 1000)):
-            # Of a pixel's squares, many have so many times more; of noise there is no more.
-            one, more = judged.of_pixels(few), judged.of_pixels(many)
-            of_noise = replace(one, shared=0.0, grey=0.0)
-            grown = many / few * (one.product(v) - of_noise.product(v)) + of_noise.product(v)
-            np.testing.assert_allclose(more.product(v), grown, rtol=1e-9, atol=1e-12)
 
 
 def test_a_fit_may_start_in_the_dark(room: Scene) -> None:

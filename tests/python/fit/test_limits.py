@@ -157,20 +157,6 @@ def test_a_limit_while_lights_are_sought_leaves_all_pixels_fitted_under_them(
     assert end < 0.8 * start
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("solver", SOLVERS)
-@pytest.mark.parametrize("refine_normals", ["off", "on"])
-@pytest.mark.parametrize("iterations", [0, 1, 2])
-def test_few_iterations_are_no_more(solver: Solver, refine_normals: Any, iterations: int) -> None:
-    result = fit(solver=solver, refine_normals=refine_normals, iterations=iterations)
-    assert_whole(result)
-    most = result.history["iteration"].max()
-    # Each pass over the normals may have all iterations again (docs/fit.md).
-    assert most <= iterations * (1 + 2 * (refine_normals != "off"))
-    if iterations == 0:
-        assert result.status is Status.ITERATION_LIMIT
-
-
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("refine_normals", ["off", "on"])
 @pytest.mark.parametrize("time_limit", [0.0, 1e-6])

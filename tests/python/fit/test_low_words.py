@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import pbrfit
-from pbrfit import Objective, Scene, _core
+from pbrfit import Objective, Scene
 from pbrfit._core import InputError
 from pbrfit.model import reflection as model
 from pbrfit.synthetic import make_scene
@@ -36,24 +36,6 @@ def test_pictures_in_float64_are_explained_to_the_last_digit(room: Scene) -> Non
     assert squares_at_truth(room) < 1e-29
     rounded = dataclasses.replace(room, images=room.images.astype(np.float32))
     assert 1e-17 < squares_at_truth(rounded) < 1e-15
-
-
-def test_pictures_that_float32_holds_need_no_remainders(
-    room: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    given: list[np.dtype[Any]] = []
-
-    class Watched:
-        def __new__(cls, images: Any, *args: Any, **kwargs: Any) -> Any:
-            given.extend({image.dtype for image in images})
-            return problem(images, *args, **kwargs)
-
-    problem = _core.Problem
-    monkeypatch.setattr("pbrfit.fit.objective._core.Problem", Watched)
-    rounded = room.images.astype(np.float32)
-    for images in (rounded, rounded.astype(np.float64), room.images):
-        Objective(dataclasses.replace(room, images=images))
-    assert given == [np.float32, np.float32, np.float64]
 
 
 def example_of(channels: int = 3, weights: int | None = None) -> Example:
@@ -88,27 +70,6 @@ def test_small_residuals_keep_their_digits() -> None:
     example.targets = example.radiance(example.truth) - small
     found = example.problem().residuals(example.x(), PIXELS)
     np.testing.assert_allclose(found, small[PIXELS].swapaxes(0, 1), atol=3e-14)
-
-
-def test_the_fast_evaluation_takes_no_notice() -> None:
-    example = example_of()
-    with_them, gradient = example.problem().value_and_grad(example.x())
-    single = example.targets.swapaxes(0, 1).astype(np.float32)
-    without, same = example.problem(images=single).value_and_grad(example.x())
-    assert with_them == without
-    np.testing.assert_array_equal(gradient, same)
-
-
-def test_single_pictures_are_double_ones_without_remainders() -> None:
-    example = example_of()
-    single = np.ascontiguousarray(example.targets.swapaxes(0, 1).astype(np.float32))
-    double = list(single.astype(np.float64))
-    mixed = [double[0], single[1], double[2], single[3]]
-    whole = example.problem(images=single).normal_equations(example.x(), PIXELS)
-    for images in (list(single), double, mixed):
-        found = example.problem(images=images).normal_equations(example.x(), PIXELS)
-        for a, b in zip(whole, found, strict=True):
-            np.testing.assert_array_equal(a, b)
 
 
 def pictures() -> list[Array]:
@@ -152,19 +113,6 @@ def changed(picture: Any) -> list[Any]:
 def test_bad_series_are_refused(images: Any, message: str) -> None:
     with pytest.raises(InputError, match=f"^images: {message}"):
         example_of().problem(images=images)
-
-
-def test_an_error_of_a_series_is_its_own() -> None:
-    def images() -> Iterator[Array]:
-        yield pictures()[0]
-        raise OSError("no more")
-
-    class Broken(Told):
-        def __iter__(self) -> Iterator[Array]:
-            return images()
-
-    with pytest.raises(OSError, match="no more"):
-        example_of().problem(images=Broken([], 4))
 
 
 def test_pictures_beyond_float32_are_no_warning() -> None:

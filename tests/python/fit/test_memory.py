@@ -226,10 +226,12 @@ print(1024 * (peak_kib() - before), said.tables)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not tell the peak")
-@pytest.mark.parametrize(("kind", "model"), [("occlusion", "principled"), ("bounce", "paper")])
-def test_tables_of_surroundings_take_what_is_said(kind: str, model: str) -> None:
+def test_tables_of_surroundings_take_what_is_said() -> None:
     run = subprocess.run(
-        [sys.executable, "-c", TABLES, kind, model], check=True, capture_output=True, text=True
+        [sys.executable, "-c", TABLES, "bounce", "principled"],
+        check=True,
+        capture_output=True,
+        text=True,
     )
     taken, said = map(int, run.stdout.split())
     assert 0.8 * said < taken < 1.25 * said
@@ -252,15 +254,6 @@ class TestTablesInPlans:
         assert not self.plan(most + 1, "none").tiled
         assert self.plan(WHOLE_PIXELS_MAX + 1, "none").tiled
 
-    @pytest.mark.usefixtures("system")
-    def test_they_are_beside_all_but_refined_normals(self) -> None:
-        bare, full = self.plan(1000, "none").needed, self.plan(1000).needed
-        assert bare.tables == 0
-        assert 0 < self.plan(1000, "occlusion").needed.tables < full.tables
-        assert full.further - bare.further == full.tables
-        refining = dataclasses.replace(full, refining=full.tables + 7)
-        assert refining.further == full.further + 7
-
     def test_advice_is_to_do_without(self, system: Path) -> None:
         write(system / "proc/meminfo", "MemAvailable: 10 kB\n")
         needed = self.plan(1000).needed
@@ -269,12 +262,6 @@ class TestTablesInPlans:
 
 
 class TestPrediction:
-    def test_adds_up(self) -> None:
-        scene = scene_of(64, 4)
-        needed = needed_by(scene, "lbfgsb")
-        assert needed.scene == scene.images.nbytes + scene.normals.nbytes
-        assert needed.peak == needed.scene + needed.further
-
     def test_keeps_gauss_newton_below_eight_times_the_pictures(self) -> None:
         """16 pictures, two threads: at most 8 times their own bytes, and 4 MP within 8 GiB."""
         size, pictures = 512, 16

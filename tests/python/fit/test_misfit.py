@@ -13,7 +13,7 @@ from pbrfit.fit import misfit, settings
 from pbrfit.fit.coarse import judged
 from pbrfit.fit.misfit import Misfit
 from pbrfit.synthetic import make_scene
-from scene_kinds import at_truth, known_lights
+from scene_kinds import at_truth
 
 Array = NDArray[np.float64]
 
@@ -61,22 +61,6 @@ def test_what_neighbours_and_pictures_share_is_not_independent() -> None:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_wrong_field_of_view_is_no_noise(seed: int) -> None:
     assert left_at_truth(replace(room(seed), fov=90.0)).design_effect > 2
-
-
-def test_few_patches_tell_no_design_effect() -> None:
-    scene = replace(room(size=16), fov=90.0)
-    side = settings.PATCH_SIDE
-    for rows, one in ((2 * side, False), (2 * side - 1, False), (side, True)):
-        mask = np.zeros(scene.valid.shape, bool)
-        mask[:rows] = True
-        left = left_at_truth(replace(scene, mask=mask))
-        assert (left.design_effect == 1) == one
-
-
-def test_where_lights_are_known_they_have_no_design_effect() -> None:
-    left = left_at_truth(known_lights(room()))
-    assert left.design_effect == 1
-    assert left.independent_share > 0.95
 
 
 def test_where_nothing_is_left_nothing_is_divided_by(monkeypatch: pytest.MonkeyPatch) -> None:

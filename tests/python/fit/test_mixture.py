@@ -1,4 +1,4 @@
-"""The mixture prior on materials, and what it is made of: grid, best albedo, EM, offsets."""
+"""The mixture prior on materials: its gradient, EM, offsets, and what fits gain by it."""
 
 import dataclasses
 from typing import Any
@@ -6,21 +6,19 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.optimize import fmin_l_bfgs_b
 
 import pbrfit
 from pbrfit import Objective, Priors, Result, Scene
 from pbrfit.fit.coarse import Lights, judged
-from pbrfit.fit.joint import minimize
 from pbrfit.fit.pixels import fit_all
 from pbrfit.fit.priors import posterior
 from pbrfit.fit.priors.gaussian import GaussianPrior
-from pbrfit.fit.priors.mixture import FittedPrior, fit_prior, with_lights
+from pbrfit.fit.priors.mixture import fit_prior, with_lights
 from pbrfit.fit.settings import OFFSET_PRECISION_SHARE
 from pbrfit.result.options import SOLVERS, Solver
 from pbrfit.synthetic import make_scene
 from scene_files import known, lights_of, truth_of
-from scene_kinds import KINDS, all_pixels, objective_of, of_kind, sum_sq_at
+from scene_kinds import KINDS, all_pixels, of_kind
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.uint64]
@@ -110,91 +108,11 @@ def test_segments_that_are_a_pixel_off_bend_no_lights() -> None:
         assert off[name] < 1.5 * true[name] + 0.005, name
 
 
-def test_a_pixel_unlike_all_fitted_ones_keeps_its_own_material(room: Scene) -> None:
-    # What is fitted to has all its likelihood at one node, what is asked for at another.
-    objective = Objective(room)
-    grid = posterior.Grid(objective, objective.start(), 1e-4)
-    nodes = np.eye(len(grid.nodes), dtype=np.float32)
-
-    def sharp(at: list[int]) -> posterior.Likelihood:
-        none = np.zeros(len(at), np.float32)
-        return posterior.Likelihood(nodes[at], none, np.ones((len(at), 1), np.float32))
-
-    fitted = posterior.Distributions.of(sharp([3] * 50), np.ones(50, np.intp), grid)
-    found = fitted.posterior(sharp([200, 3]), np.ones(2, np.intp))
-    true = grid.nodes[[200, 3]]
-    np.testing.assert_allclose(found.mean, true, rtol=1e-6)
-    assert np.isfinite(found.variance).all()
-
-
 def by_squares(objective: Objective) -> tuple[Array, Lights]:
     """X with all materials at their best under the lights of the start, and what that leaves."""
     x = objective.start()
     fit_all(objective, x, starts=2)
     return x, judged(objective, x)
-
-
-def with_prior(
-    objective: Objective, x: Array, lights: Lights, *, once: bool = False
-) -> tuple[Array, GaussianPrior, posterior.Posterior, FittedPrior]:
-    variance = lights.misfit.of_likelihood
-    if lights.shared is not None:
-        x = with_lights(objective, x, 1.0, variance, lights.shared)
-    return known(fit_prior(objective, x, 1.0, variance, counted_once=once))
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_fitted_prior_holds_all_pixels(room: Scene, kind: str) -> None:
-    objective = objective_of(room, kind)
-    x, lights = by_squares(objective)
-    before = x.copy()
-    found, prior, _, fitted = with_prior(objective, x, lights)
-    np.testing.assert_array_equal(x, before)
-    blocks = objective.layout.roughness_metallic
-    assert prior.mean.shape == prior.precision.shape == (objective.pixels, len(blocks))
-    assert prior.precision.min() > 0
-    for block, mean in zip(blocks, prior.mean.T, strict=True):
-        np.testing.assert_array_equal(found[block], mean)
-    of_lights = slice(objective.layout.maps.stop, None)
-    assert np.array_equal(found[of_lights], x[of_lights]) == (lights.shared is None)
-    # It is twice as stiff if it is twice as strong, and weaker where pixels say less.
-    alone = lights.misfit.of_likelihood
-    once, twice, unsure = (
-        known(fit_prior(objective, found, *of, counted_once=False))
-        for of in ((1.0, alone), (2.0, alone), (1.0, 9 * alone))
-    )
-    np.testing.assert_allclose(twice[1].precision, 2 * once[1].precision)
-    assert np.median(unsure[1].precision) < 9 * np.median(once[1].precision)
-    # Held for the same pixels and lights it is the same prior.
-    again = known(once[3].applied(objective, once[0], lambda: False))
-    np.testing.assert_allclose(again[1].mean, once[1].mean, atol=1e-9)
-    np.testing.assert_array_equal(again[1].precision, once[1].precision)
-    assert fitted.strength == 1.0
-
-
-def fitted_with(objective: Objective, x: Array, prior: GaussianPrior) -> Array:
-    """Roughness of all pixels, fitted with a prior under the lights of x."""
-    x = x.copy()
-    assert fit_all(objective, x, starts=1, prior=prior) is not None
-    return x[objective.layout.roughness_metallic[0]]
-
-
-def test_data_that_the_posterior_has_count_once(room: Scene) -> None:
-    # A noisy pixel stays at the mean of its posterior, a sharp one goes where its data say.
-    objective = Objective(room)
-    x, lights = by_squares(objective)
-    twice = with_prior(objective, x, lights)[1]
-    found, once, _, _ = with_prior(objective, x, lights, once=True)
-    ratio = once.precision / twice.precision
-    np.testing.assert_allclose(ratio[:, 0], ratio[:, 1])
-    assert ratio.min() >= 1
-    grid = posterior.Grid(objective, found, lights.misfit.of_likelihood)
-    sharp = grid.likelihood(np.arange(objective.pixels, dtype=np.uint64)).unused
-    np.testing.assert_allclose(ratio[:, 0], 1 / sharp, rtol=1e-5)
-    deviation = np.abs(fitted_with(objective, found, once) - once.mean[:, 0])
-    before = np.abs(fitted_with(objective, found, twice) - twice.mean[:, 0])
-    noisy = sharp < np.median(sharp)
-    assert deviation[noisy].mean() < 0.5 * before[noisy].mean()
 
 
 @pytest.mark.parametrize("looks", [0, 2, 4, 5])
@@ -207,33 +125,6 @@ def test_time_may_run_out_before_all_pixels_have_a_prior(room: Scene, looks: int
     lit = with_lights(objective, x, 1.0, alone, known(lights.shared), stop)
     assert fit_prior(objective, lit, 1.0, alone, stop, counted_once=False) is None
     np.testing.assert_array_equal(x, before)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "kind", [kind for kind in KINDS if kind not in ("order 2", "known lights")]
-)
-def test_squares_and_prior_together_are_lowered(room: Scene, kind: str) -> None:
-    objective = objective_of(room, kind)
-    x, lights = by_squares(objective)
-    x, prior, _, _ = with_prior(objective, x, lights)
-    objective.penalties = [prior]
-    assert lights.shared is not None
-    # The objective has no prior on lights.
-    lights.shared.lights = dataclasses.replace(lights.shared.lights, noise=0.0, shared=0.0)
-    sum_sq = sum_sq_at(objective, x)
-    before = objective.value_and_grad(x)[0]
-    fit = lights.shared.joint_fit(objective, x, sum_sq, prior=prior)
-    assert minimize(fit, 20, 0.01) > 0
-    loss, gradient = objective.value_and_grad(x)
-    assert loss < before
-    own = float(fit.sum_sq.sum()) / objective.total_weight
-    assert loss == pytest.approx(own + prior.value_and_grad(x, gradient.copy()), rel=1e-4)
-    # L-BFGS finds nothing much lower from there.
-    after = fmin_l_bfgs_b(
-        lambda x: objective.value_and_grad(x), x, bounds=list(objective.bounds), maxiter=100
-    )[1]
-    assert loss - after < 0.05 * (before - loss)
 
 
 def fitted(scene: Scene, solver: Solver, **options: Any) -> Result:
@@ -294,12 +185,3 @@ def test_perfect_pictures_have_no_use_for_a_prior(room: Scene, solver: Solver) -
     result = pbrfit.decompose(scene, solver=solver, iterations=10, start=truth)
     assert result.metrics["roughness_rmse"] < 0.02
     assert result.metrics["recon_rmse"] < 1e-3
-
-
-@pytest.mark.parametrize("solver", SOLVERS)
-@pytest.mark.parametrize("priors", [Priors(material=0), None, Priors()])
-def test_weight_zero_fits_no_prior(room: Scene, solver: Solver, priors: Priors | None) -> None:
-    scene = room.of_pictures([0, 1, 2])
-    result = pbrfit.decompose(scene, iterations=5, solver=solver, priors=priors)
-    has_one = priors is not None and priors.material != 0
-    assert ("material prior" in [stage.name for stage in result.stages]) == has_one

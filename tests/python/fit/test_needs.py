@@ -16,7 +16,7 @@ from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.plan import chosen_priors, color_deviation, left_out
 from pbrfit.fit.settings import GREY_WEIGHT, NEAR_GREY
-from pbrfit.result.options import SOLVERS, Priors, Solver, prior_names
+from pbrfit.result.options import SOLVERS, Priors, Solver
 from pbrfit.synthetic import make_scene
 from scene_files import known, truth_of
 
@@ -142,21 +142,6 @@ def test_what_is_left_out_is_said(
     assert needs(of, **options) == expected
 
 
-@pytest.mark.parametrize(
-    ("of", "idle"),
-    [
-        (known_lights(), {"monochrome"}),
-        (grey(), {"monochrome"}),
-        (scene(segments=None), {"cohesion"}),
-    ],
-)
-def test_idle_priors_have_no_weight(of: pbrfit.Scene, idle: set[str]) -> None:
-    found = chosen_priors(ParameterLayout.of(of), ALL)
-    assert {name for name in prior_names() if getattr(found, name) == 0} == idle
-    penalties = Objective(of, priors=found).penalties
-    assert [p.name for p in penalties] == [p.name for p in Objective(of, priors=ALL).penalties]
-
-
 def test_deviation_from_grey_by_hand() -> None:
     assert color_deviation(np.full((2, 4, 3), 7.0)) == 0
     assert color_deviation(np.zeros((2, 4, 3))) == 0
@@ -180,15 +165,6 @@ def test_monochrome_is_for_lights_near_grey(deviation: float, weight: float) -> 
     said = [entry for entry in found if "monochrome" in entry]
     assert len(said) == (weight == 0)
     assert all("from grey, above 0.05" in entry for entry in said)
-
-
-def test_monochrome_waits_for_lights_and_obeys() -> None:
-    layout = ParameterLayout.of(scene())
-    assert chosen_priors(layout, Priors()).monochrome is None
-    assert needs(scene(), Priors()) == ()
-    for weight, lighting in ((0.0, off_grey(0)), (2.0, off_grey(0.4))):
-        asked = chosen_priors(layout, Priors(monochrome=weight), lighting)
-        assert asked.monochrome == weight
 
 
 @pytest.mark.parametrize("solver", SOLVERS)

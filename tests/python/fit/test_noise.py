@@ -13,7 +13,6 @@ from PIL import Image
 import scene_kinds
 from pbrfit import Priors, Scene, decompose
 from pbrfit.fit import settings
-from pbrfit.fit.misfit import Misfit
 from pbrfit.fit.noise import NoiseModel, estimated
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.tails import NORMAL, WithOutliers
@@ -45,15 +44,6 @@ def test_noise_of_one_kind_is_even_and_normal() -> None:
     assert model.is_even
     assert model.tails.is_normal
     assert model.weights(objective, x) is None
-
-
-def test_what_files_lost_in_all_pictures_alike_weighs_as_much_more() -> None:
-    """Twelve pictures whose errors are correlated by ρ are worth 12/(1 + 11 ρ)."""
-    of_files = NoiseModel(np.ones(12), np.array([0.25, 0, 0, 0.75]), 1, 1, NORMAL, False, 0.4)
-    assert of_files.picture_effect == pytest.approx(1 + 11 * 0.4 * 0.75)
-    left = Misfit(2.0, 1.5, 0.5, of_files.picture_effect)
-    assert left.of_likelihood == pytest.approx(2.0 * 1.5 * of_files.picture_effect / 0.5)
-    assert replace(of_files, file_correlation=0.0).picture_effect == 1.0
 
 
 @pytest.mark.slow

@@ -13,11 +13,11 @@ import pytest
 from numpy.typing import NDArray
 
 from pbrfit import Objective, Result, Scene, decompose
-from pbrfit.fit import memory, settings
+from pbrfit.fit import settings
 from pbrfit.fit.joint import JointFit, SharedFit, minimize
 from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.misfit import Misfit
-from pbrfit.fit.nuisances import FIELD_OF_VIEW, Nuisances, _resolved, degrees, log_tangent
+from pbrfit.fit.nuisances import FIELD_OF_VIEW, Nuisances, degrees, log_tangent
 from pbrfit.fit.pixels import fit_all
 from pbrfit.io.json_files import read_as
 from pbrfit.result.camera import Camera
@@ -122,18 +122,6 @@ def test_what_pictures_do_not_say_the_lens_prior_does() -> None:
     assert known(found.camera).fov_sigma == pytest.approx(sigma)
 
 
-def test_directions_that_lights_take_but_for_rounding_are_left_to_the_prior() -> None:
-    sizes = np.sqrt([2.0, 8.0])
-    turned = np.array([[0.6, -0.8], [0.8, 0.6]])
-    for share in (-1e-3, 0.0, 0.5 * settings.NUISANCE_INFORMATION_MIN):
-        information = np.outer(sizes, sizes) * (turned * [0.25, share] @ turned.T)
-        gradient, found = _resolved(sizes * (turned @ [3.0, 5.0]), information, sizes)
-        np.testing.assert_allclose(gradient, sizes * (turned @ [3.0, 0.0]))
-        np.testing.assert_allclose(
-            found, np.outer(sizes, sizes) * (turned * [0.25, 0.0] @ turned.T), atol=1e-12
-        )
-
-
 def test_unknown_stays_unknown_on_the_way_through_a_folder(tmp_path: Path) -> None:
     made = room(size=8)
     scene = Scene(images=made.images, normals=made.normals)
@@ -164,20 +152,6 @@ def test_words() -> None:
     assert Camera(62.25, "fitted", 1.1).in_words() == "62.2 ± 1.1 degrees, fitted"
     assert Camera(62.25, "fitted", 12.0).in_words() == "62 ± 12 degrees, fitted"
     assert Camera(0.0, "given").in_words() == "0 degrees, given"
-
-
-@pytest.mark.slow
-def test_tiles_take_the_camera_of_the_subset(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = unknown(room(90.0, size=48))
-    monkeypatch.setattr(memory, "plan", _tiled(memory.plan))
-    found = decompose(scene, refine_normals="off", **FAST)
-    assert any("tiles" in stage.name for stage in found.stages)
-    assert found.fov == pytest.approx(90.0, abs=2.0)
-    assert found.metrics["recon_rmse"] < 0.02
-
-
-def _tiled(plan: Any) -> Any:
-    return lambda *arguments, **options: replace(plan(*arguments, **options), tiled=True)
 
 
 def bent(scene: Scene, numbers: tuple[float, ...]) -> Scene:
@@ -224,13 +198,3 @@ def test_a_tone_curve_is_fitted_only_where_it_is_asked_for(response: Response) -
     scene = bent(room(size=12), CURVE).of_pictures([0, 1, 2])
     found = decompose(scene, response=response, **FAST)
     assert ("response" in found.assumed) == (response == "fit")
-
-
-def test_units_are_those_of_the_pictures_as_they_came() -> None:
-    """A correction changes the mean; what x counts in stays."""
-    scene = bent(room(size=24), CURVE)
-    objective = Objective(scene, threads=1)
-    scale, x = objective.scale, objective.start()
-    objective.see(scene.through(scene.fov, Correction(scene.mean_brightness(), (-0.1, 0, 0))))
-    assert objective.scale == scale
-    assert np.isfinite(objective.value_and_grad(x)[0])

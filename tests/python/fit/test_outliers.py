@@ -1,4 +1,4 @@
-"""Pictures with outliers: what weights of samples gain, and that some pixels keep them."""
+"""Pictures with outliers: what weights of samples gain."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import pbrfit
-from pbrfit.fit.objective import Objective
 from pbrfit.synthetic import make_scene
 
 
@@ -54,26 +53,3 @@ def test_outliers_do_less_harm_than_to_squares(case: str) -> None:
         left += one.metrics["recon_rmse"] > other.metrics["recon_rmse"]
         assert (one.options.robust, other.options.robust) == ("auto", "none")
     assert left >= 2
-
-
-@pytest.mark.parametrize("weighted", [False, True])
-def test_some_pixels_keep_their_weights(weighted: bool) -> None:
-    scene = with_shadows(room(size=12))
-    if weighted:
-        weights = np.random.default_rng(2).random(scene.images.shape[:3])
-        scene = dataclasses.replace(scene, weights=weights)
-    objective = Objective(scene)
-    x = np.clip(objective.start(), 0.01, None)
-    everything = np.arange(144, dtype=np.uint64)
-    residuals = objective.problem.residuals(x, everything)
-    whole = objective.weighed(1 / (1 + np.square(residuals / 0.1)))
-    sums = whole.problem.normal_equations(x, everything)[2]
-    few = np.arange(3, 144, 5, dtype=np.uint64)
-    shares = np.linspace(0.1, 1, len(few))
-    for share, expected in ((None, sums[few]), (shares, shares * sums[few])):
-        part = whole.restricted(few, share)
-        own = part.problem.normal_equations(whole.part_of(x, few), everything[: len(few)])[2]
-        np.testing.assert_allclose(own, expected, rtol=1e-5)
-    twice = whole.restricted(few, shares).restricted(np.array([2, 5], np.uint64))
-    own = twice.problem.normal_equations(whole.part_of(x, few[[2, 5]]), everything[:2])[2]
-    np.testing.assert_allclose(own, (shares * sums[few])[[2, 5]], rtol=1e-5)

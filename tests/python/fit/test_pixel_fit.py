@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from functools import cache, partial
 from typing import Any
@@ -130,7 +129,7 @@ def test_a_prior_is_minimised_with_the_squares(kind: Kind) -> None:
 
 @pytest.mark.parametrize("kind", KINDS, ids=str)
 def test_the_best_albedo_is_best_and_the_grid_has_what_it_leaves(kind: Kind) -> None:
-    check_best_albedo(Example(kind, 20, 6, noise=0.3))
+    check_best_albedo(Example(kind, 10, 6, noise=0.3))
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=str)
@@ -144,19 +143,6 @@ def test_noise_free_materials_are_found_from_nothing(kind: Kind) -> None:
         assert error.max() < most
         if exact:
             assert squares.max() < 1e-27
-
-
-def test_rounded_targets_move_materials_as_far_as_they_say() -> None:
-    """To first order by A⁻¹JᵀΩ times what was rounded away."""
-    example = Example(known(), 60, 16)
-    jacobian, _ = example.jacobian()
-    matrices, _, _ = example.problem().normal_equations(example.x(), example.everything)
-    rounding = example.targets.astype(np.float32) - example.targets
-    right = np.einsum("pncj,pnc->pj", jacobian, rounding)
-    expected = np.linalg.solve(matrices, right[..., None])[..., 0]
-    found, _ = fit(example, exact=False, starts=2, exact_steps=2)
-    # Squares of residuals of 3e-8, each rounded at 1e-16, tell moves of 1e-11 from rounding.
-    np.testing.assert_allclose(found - example.truth, expected, atol=3e-11)
 
 
 @pytest.mark.parametrize(
@@ -245,14 +231,6 @@ def test_whatever_the_pictures_show_it_ends_no_worse(
     np.testing.assert_allclose(squares, ends, atol=1e-13 * scale.max())
 
 
-def test_more_starts_never_end_higher() -> None:
-    example = Example(known(), 300, 4, noise=0.05)
-    ends = [fit(example, starts=starts, exact_steps=0)[1] for starts in (0, 1, 2, 5)]
-    for fewer, more in itertools.pairwise(ends):
-        assert (more <= fewer).all()
-    assert (ends[-1] < ends[0] * (1 - 1e-3)).any()
-
-
 def away(example: Example, degrees: float) -> Array:
     """Tangent offsets (P, 2) at which normals are so far from the true ones."""
     angle = np.random.default_rng(1).uniform(0, 2 * np.pi, (example.pixels, 1))
@@ -337,12 +315,3 @@ def test_held_normals_leave_the_fit_of_materials(kind: Kind) -> None:
     # Without steps on residuals normals stay as well.
     found, _ = fit(example, **(STEPS | {"exact_steps": 0}))
     np.testing.assert_array_equal(found[:, -2:], example.offsets)
-
-
-def test_a_stiff_prior_draws_tangent_offsets_to_its_mean() -> None:
-    example = Example(free(), noise=0.02)
-    mean = np.hstack([np.zeros((300, 2)), 0.5 * example.offsets])
-    precision = np.hstack([np.zeros((300, 2)), np.full((300, 2), 1e12)])
-    found, _ = fit(example, example.x(), mean=mean, precision=precision, **STEPS)
-    # A decrease of 1e-14 of what there was to begin with is taken for rounding.
-    np.testing.assert_allclose(found[:, -2:], 0.5 * example.offsets, atol=1e-7)

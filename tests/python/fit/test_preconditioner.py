@@ -68,23 +68,6 @@ def test_of_all_pixels_it_is_the_inverse(scene: Scene, kind: str) -> None:
         assert off @ matrix @ off < 1e-6 * (v @ matrix @ v)
 
 
-@each_kind
-def test_the_prior_in_sums_is_that_of_the_lights(scene: Scene, kind: str) -> None:
-    objective = objective_of(scene, kind)
-    prior = LightPrior.around(objective, objective.start()).weighing(0.5, 0.2, 10)
-    basis = known(objective.light_basis(objective.start()))
-    channels, _, rank = basis.shape
-    whole = prior.matrix().reshape(2 * (channels, PICTURES, 9))
-    expected = np.einsum("cni,cnkdml,dmj->cikdjl", basis, whole, basis, optimize=True)
-    size = channels * rank * 9
-    np.testing.assert_allclose(
-        prior.matrix(basis),
-        expected.reshape(size, size),
-        rtol=1e-9,
-        atol=1e-9 * np.abs(expected).max(),
-    )
-
-
 def spread(objective: Objective, x: Array) -> Array:
     """Variances of all unknowns of pixels."""
     found = uncertainty.spread(objective, x, discrepancy.find(objective, x), None)

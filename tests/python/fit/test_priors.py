@@ -287,10 +287,3 @@ def test_known_lights_in_colour_are_refused_by_mono_light() -> None:
     x = objective.start()
     assert objective.value_and_grad(x)[0] == plain.value_and_grad(x)[0]
     np.testing.assert_array_equal(objective.value_and_grad(x)[1], plain.value_and_grad(x)[1])
-
-
-@pytest.mark.parametrize("shift", [-1, 1])
-def test_an_x_of_another_length_is_refused(shift: int) -> None:
-    objective = Objective(scene_of(), mono_light=True)
-    with pytest.raises(InputError, match=r"^x: expected shape"):
-        objective.value_and_grad(np.full(objective.size + shift, 0.5))

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pbrfit import Priors, Result, Scene, Status, decompose
-from pbrfit.kernel import render
+from pbrfit import Result, Scene, Status, decompose
 from pbrfit.model.geometry import angles_between
 from pbrfit.result.refinement import RefineNormals
 from pbrfit.synthetic import make_scene
@@ -129,21 +128,6 @@ def test_true_normals_are_kept_and_change_nothing() -> None:
     )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("options", [{}, {"noise": 0.01}, {"mono_light": True}], ids=str)
-def test_the_number_of_threads_changes_no_bit(options: dict[str, Any]) -> None:
-    options = dict(options)
-    scene = wrong(right(16, noise=options.pop("noise", 0.0)))
-    results = [
-        decompose(scene, refine_normals="on", iterations=40, threads=threads, **options)
-        for threads in (1, 2, 3)
-    ]
-    assert results[0].refinement.refined
-    for other in results[1:]:
-        same(results[0], other)
-        assert other.refinement == results[0].refinement
-
-
 @pytest.mark.usefixtures("uncompared")
 @pytest.mark.parametrize(
     "options",
@@ -194,39 +178,6 @@ def test_auto_refines_nothing_where_nothing_is_compared() -> None:
     assert result.status == Status.ITERATION_LIMIT
     assert not result.refinement.refined
     assert result.refinement.why == "explanations were not compared"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "options",
-    [{}, {"priors": None}, {"robust": "none"}, {"priors": Priors(monochrome=1e-3)}],
-    ids=["plain", "no priors", "robust", "monochrome"],
-)
-def test_lights_that_joint_steps_found_do_not_count_as_known(options: dict[str, Any]) -> None:
-    scene = wrong(right(16, 8))
-    result = decompose(scene, refine_normals="on", iterations=5, **options)
-    check(result, scene)
-    assert not any("known" in entry for entry in result.left_out)
-    assert result.uncertainty is not None
-    rendered = render(result.materials, result.normals, result.lighting, result.fov)
-    recon = np.sqrt(np.mean(np.square(rendered - scene.images)[:, scene.valid]))
-    assert recon == pytest.approx(result.metrics["recon_rmse"], rel=1e-6)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("asked", ["on", "auto"])
-@pytest.mark.parametrize("size", [16, 24])
-def test_true_normals_are_found_again(asked: RefineNormals, size: int) -> None:
-    """Where lights have to be found, given ones explain all up to rounding, and none are better."""
-    scene = right(size, 8)
-    options: dict[str, Any] = {"solver": "lbfgsb", "iterations": 60, "uncertainty": False}
-    found = decompose(scene, refine_normals=asked, **options)
-    check(found, scene)
-    if found.normal_change is not None:
-        assert np.nanmean(found.normal_change) < 0.3
-    if asked == "auto":
-        assert not found.refinement.refined
-        same(found, decompose(scene, refine_normals="off", **options))
 
 
 @pytest.mark.slow
@@ -336,19 +287,3 @@ def test_scenes_of_all_kinds_have_a_finite_answer(name: str, how: str) -> None:
     result = decompose(SCENES[name], iterations=5, **HOW[how])
     check(result, SCENES[name])
     assert np.isnan(result.roughness[~result.mask]).all()
-
-
-@pytest.mark.slow
-def test_normals_of_which_all_are_equally_sure_are_as_good_as_any() -> None:
-    scene = small()
-    plain, zero, five = (
-        decompose(
-            dataclasses.replace(scene, normal_sigma=sigma),
-            refine_normals="on",
-            iterations=5,
-            uncertainty=False,
-        )
-        for sigma in (None, np.zeros((SIZE, SIZE)), np.full((SIZE, SIZE), 5.0))
-    )
-    same(plain, zero)
-    same(plain, five)

@@ -14,7 +14,6 @@ import pytest
 
 from page_reader import Page
 from pbrfit import InputError, Result, Scene, decompose, relight
-from pbrfit.batch.scenes import details
 from pbrfit.export import export_result
 from pbrfit.model.geometry import angles_between
 from pbrfit.model.reflection import render
@@ -40,18 +39,6 @@ def scene(pictures: int = 3, **changes: Any) -> Scene:
 @pytest.fixture(scope="module")
 def result() -> Result:
     return refined(decompose(scene(), iterations=5))
-
-
-def test_two_pictures_cannot_determine_normals_and_three_can() -> None:
-    made = scene(3)
-    assert hindrance(made) is None
-    assert hindrance(scene(2)) == "2 pictures do not determine normals, which takes at least 3"
-    lighting = np.ones((1, 16, 3))
-    one = scene(images=made.images[:1], lighting=lighting)
-    assert hindrance(one) == "a single picture does not determine normals, which takes at least 3"
-    # Known lights do not hinder.
-    assert hindrance(scene(lighting=np.ones((3, 16, 3)))) is None
-    assert hindrance(scene(2, lighting=np.ones((2, 16, 3)))) is not None
 
 
 @pytest.mark.parametrize("asked", CHOICES)
@@ -121,25 +108,6 @@ def test_layers_of_given_normals_as_another_reader_sees_them(
         atol = 1e-5 if name == "normal_change.Y" else 0
         stored = values[result.mask].astype(np.float32)
         np.testing.assert_allclose(found[result.mask], stored, rtol=0, atol=atol, err_msg=name)
-
-
-def test_results_without_refined_normals_have_none_of_their_layers(
-    result: Result, tmp_path: Path
-) -> None:
-    plain = dataclasses.replace(result, refinement=NOT_ASKED, given_normals=None)
-    plain.save(tmp_path / "out")
-    layers = layers_of(tmp_path / "out" / "materials.exr")
-    assert not [name for name in layers if name.startswith(("normal_given", "normal_ch"))]
-    content = json.loads((tmp_path / "out" / "result.json").read_text("utf-8"))
-    assert content["normals"] == {
-        "asked": "off",
-        "refined": False,
-        "why": "not asked for",
-        "figures": {},
-    }
-    loaded = Result.load(tmp_path / "out")
-    assert loaded.refinement == NOT_ASKED
-    assert loaded.given_normals is None
 
 
 def test_refined_normals_are_saved_and_read_back(result: Result, tmp_path: Path) -> None:
@@ -233,15 +201,6 @@ def test_the_command_refines_if_need_be_unless_it_is_told_otherwise(
         content = json.loads((out / "result.json").read_text("utf-8"))
         assert content["options"]["refine_normals"] == content["normals"]["asked"] == asked
         assert content["normals"]["why"] == why
-
-
-def test_the_summary_tells_what_was_refined(result: Result) -> None:
-    inside = degrees_of(result.mask)[result.mask]
-    line = (
-        f"\nnormals: refined by {inside.mean():.1f} degrees in the mean, {LARGEST:.1f} at "
-        f"most: {result.refinement.why}"
-    )
-    assert line in "\n".join(details(result))
 
 
 def test_inspect_says_whether_normals_can_be_refined_and_how_far_off_they_are(

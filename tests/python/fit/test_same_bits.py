@@ -32,7 +32,7 @@ KINDS = (
 @both_models
 @pytest.mark.parametrize("kind", [*KINDS, Surroundings(weights=3)], ids=str)
 def test_of_a_problem(kind: Kind, model: Model) -> None:
-    count = 1500
+    count = 700
     if isinstance(kind, Surroundings):
         kind = dataclasses.replace(kind, model=model)
     make = Among if isinstance(kind, Surroundings) else Example
@@ -102,7 +102,7 @@ def test_of_a_problem(kind: Kind, model: Model) -> None:
 def test_of_a_fit_with_all_priors_and_its_uncertainty(
     model: Model, solver: Solver, priors: Priors
 ) -> None:
-    scene = make_scene("room", size=40, lights=3, held_out=1, seed=3, model=model, noise=0.01)
+    scene = make_scene("room", size=28, lights=3, held_out=1, seed=3, model=model, noise=0.01)
     one, other = (
         decompose(
             scene,

@@ -10,8 +10,6 @@ from scipy.ndimage import maximum_filter, uniform_filter
 
 from pbrfit import FitOptions, InputError, Priors, Scene, decompose
 from pbrfit.fit import scale, settings
-from pbrfit.fit.run import FitSetup
-from pbrfit.fit.tiles import fit_tiles
 from pbrfit.io.json_files import as_json, read_as
 from pbrfit.result.result import Result
 from pbrfit.synthetic import make_scene
@@ -140,19 +138,6 @@ def test_a_wrong_reference_moves_all_albedos_alike(noisy: list[tuple[Scene, Resu
     ratio = np.median((after.albedo / before.albedo)[dielectric], axis=0)
     expected = value / around(before, column, row)
     np.testing.assert_allclose(ratio, expected, rtol=0.1)
-
-
-@pytest.mark.slow
-def test_tiles_have_the_scale_of_their_subset() -> None:
-    scene = room(303, size=64)
-    column, row, value = reference(scene)
-    options = FitOptions(white=(column, row, value), refine_normals="off")
-    setup = FitSetup(options, 0, None, 0.0)
-    found = fit_tiles(scene, setup, None, subset_pixels=1024, side=32)
-    assert "reference" in found.scale
-    inside = found.materials.albedo[row - 1 : row + 2, column - 1 : column + 2]
-    np.testing.assert_allclose(inside.mean(axis=(0, 1)), value, rtol=0.05)
-    assert min(known(found.uncertainty).albedo_scale) >= settings.WHITE_TOLERANCE
 
 
 @pytest.mark.parametrize(

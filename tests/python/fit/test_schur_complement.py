@@ -49,17 +49,6 @@ def expected_of(kind: str) -> tuple[Seen, Dense]:
     return example, dense(example, example.chosen)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_system_of_the_lights_is_what_is_left_of_the_whole_one(kind: str) -> None:
-    example, expected = expected_of(kind)
-    matrix, gradient = example.ask("schur_complement")
-    assert matrix.shape == (example.size, example.size)
-    close(matrix, expected.matrix, accuracy(example.kind))
-    close(gradient, expected.gradient, accuracy(example.kind))
-    np.testing.assert_array_equal(matrix, matrix.T)
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_products_are_those_of_the_whole_system(kind: str) -> None:
     example, expected = expected_of(kind)

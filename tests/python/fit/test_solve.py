@@ -1,4 +1,4 @@
-"""Solvers on whole scenes: accuracy, exposure, starts, the trap at roughness 0."""
+"""Solvers on whole scenes: accuracy, starts, the trap at roughness 0."""
 
 from __future__ import annotations
 
@@ -92,21 +92,6 @@ def test_roughness_zero_is_a_stationary_point() -> None:
 
 
 @every_solver
-@pytest.mark.parametrize("seconds", [0.0, 0.2])
-def test_time_limit_keeps_the_best_so_far(solver: Solver, seconds: float) -> None:
-    scene = room(32, noise=0.01)
-    options: dict[str, Any] = {"solver": solver, "iterations": 100_000, "priors": None}
-    result = pbrfit.decompose(scene, time_limit=seconds, **options)
-    if result.status == pbrfit.Status.CONVERGED:  # a machine that is faster than any so far
-        assert result.seconds < seconds
-        return
-    assert result.status == pbrfit.Status.TIME_LIMIT
-    assert result.seconds >= seconds
-    assert result.metrics["recon_rmse"] <= 1.001 * result.history["recon_rmse"].min()
-    assert np.isfinite(result.lighting).all()
-
-
-@every_solver
 @pytest.mark.parametrize("iterations", [0, 12])
 @pytest.mark.parametrize("priors", [None, pbrfit.Priors()], ids=["alone", "priors"])
 def test_no_more_iterations_than_asked_for(
@@ -134,33 +119,6 @@ def test_no_more_iterations_than_asked_for(
     start, end = result.history["recon_rmse"][[0, -1]]
     assert end <= start
     assert result.metrics["recon_rmse"] <= 1.001 * start
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("solver", "factor"),
-    [
-        ("lbfgsb", 1e-300),
-        ("lbfgsb", 1e300),
-        # What three pictures leave open depends on rounding; a power of 2 has none.
-        *((solver, 2.0**power) for solver in SOLVERS for power in (-996, 996)),
-    ],
-)
-def test_radiance_beyond_float32_is_fitted_all_the_same(factor: float, solver: Solver) -> None:
-    scene = room(8, lights=3, held_out=1)
-    # Whether other normals are better is left open too.
-    exact = np.log2(factor) % 1 == 0
-    results = [
-        pbrfit.decompose(
-            pbrfit.Scene(scene.images * f, scene.normals, scene.fov),
-            solver=solver,
-            iterations=20,
-            refine_normals="auto" if exact else "off",
-        )
-        for f in (1.0, factor)
-    ]
-    recon = [result.metrics["recon_rmse"] for result in results]
-    assert recon[1] == pytest.approx(recon[0] * factor, rel=0.05)
 
 
 def hollow(scene: pbrfit.Scene) -> pbrfit.Truth:
@@ -212,3 +170,5 @@ def test_a_start_must_cover_the_valid_pixels() -> None:
     start = pbrfit.Materials(maps.albedo, roughness, maps.metallic)
     with pytest.raises(pbrfit.InputError, match=r"^roughness: expected finite"):
         pbrfit.decompose(scene, start=start)
+    with pytest.raises(pbrfit.InputError, match=r"^lighting: expected finite coefficients"):
+        pbrfit.decompose(scene, start=(maps, np.nan * lights_of(scene)))

@@ -129,17 +129,6 @@ def test_pictures_without_shadows_are_left_without(room: dict[str, Any]) -> None
     np.testing.assert_array_equal(found.lighting, without.lighting)
 
 
-@pytest.mark.slow
-def test_the_result_does_not_depend_on_threads(room: dict[str, Any]) -> None:
-    scene = scene_of(room, "bounce")
-    one, two = (
-        pbrfit.decompose(scene, uncertainty=False, threads=threads, transport="bounce")
-        for threads in (1, 2)
-    )
-    np.testing.assert_array_equal(one.albedo, two.albedo)
-    assert one.transport == two.transport
-
-
 def test_surroundings_need_depth(room: dict[str, Any]) -> None:
     scene = replace(scene_of(room, None), depth=None)
     with pytest.raises(InputError, match="transport: expected a scene with depth"):

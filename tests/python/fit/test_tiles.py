@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import pbrfit
-from pbrfit.cli import main
 from pbrfit.fit import memory, settings
 from pbrfit.fit.run import Progress
-from pbrfit.fit.settings import TILES_SUBSET_PIXELS_MAX, WHOLE_PIXELS_MAX
+from pbrfit.fit.settings import WHOLE_PIXELS_MAX
 from pbrfit.fit.tiles.fit import ending
-from pbrfit.fit.tiles.windows import strided_window, tiles
+from pbrfit.fit.tiles.windows import strided_window
 from pbrfit.result.data import Status
 from pbrfit.synthetic import make_scene
 from scene_files import known, truth_of
@@ -67,26 +64,6 @@ class TestCutting:
         at_least, at_most = wanted
         found = np.count_nonzero(strided_window(valid, at_most).of(valid))
         assert at_least <= found <= 1.25 * at_most
-
-    def test_a_small_picture_is_its_own_subset(self) -> None:
-        valid = np.ones((30, 40), bool)
-        assert strided_window(valid, TILES_SUBSET_PIXELS_MAX).of(valid).shape == (30, 40)
-
-    @pytest.mark.parametrize("margin", [0, 7])
-    def test_tiles_cover_each_pixel_once(self, margin: int) -> None:
-        valid = np.ones((100, 71), bool)
-        times = np.zeros(valid.shape, int)
-        for tile in tiles(valid, margin, 30):
-            outer = np.arange(valid.size).reshape(valid.shape)[tile.outer.rows, tile.outer.columns]
-            inner = np.arange(valid.size).reshape(valid.shape)[tile.inner.rows, tile.inner.columns]
-            np.testing.assert_array_equal(tile.inside.of(outer), inner)
-            tile.inner.of(times)[...] += 1
-        assert (times == 1).all()
-
-    def test_tiles_without_valid_pixels_are_left_out(self) -> None:
-        valid = np.zeros((90, 90), bool)
-        valid[:30] = True
-        assert len(list(tiles(valid, 2, 30))) == 3
 
 
 @pytest.mark.usefixtures("nine_tiles")
@@ -174,13 +151,6 @@ class TestFit:
         np.testing.assert_array_equal(result.lighting, truth_of(noisy).lighting)
         assert result.metrics["recon_rmse"] < 0.0105
 
-    @pytest.mark.usefixtures("uncompared")
-    def test_grey_pictures_stay_grey(self, noisy: pbrfit.Scene) -> None:
-        images = np.repeat(noisy.images[..., 1:2], 3, axis=-1)
-        result = held(replace(noisy, images=images, truth=None))
-        assert (result.albedo == result.albedo[..., :1]).all()
-        assert result.metrics["recon_rmse"] < 0.0105
-
     @pytest.mark.parametrize(
         ("fault", "message"),
         [
@@ -201,16 +171,6 @@ class TestFit:
         for given in (start, (start, truth_of(noisy).lighting)):
             with pytest.raises(pbrfit.InputError, match=message):
                 held(noisy, start=given)
-
-    @pytest.mark.slow
-    def test_passes_over_a_tile_count_by_its_pixels(
-        self, noisy: pbrfit.Scene, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        def evaluations(side: int) -> int:
-            in_tiles(monkeypatch, **NINE | {"side": side})
-            return held(noisy, uncertainty=False, iterations=20).evaluations
-
-        assert evaluations(24) < 2 * evaluations(200)  # sixteen tiles, and one
 
     @pytest.mark.parametrize(
         ("of_subset", "of_tiles", "status", "reason"),
@@ -252,50 +212,6 @@ class TestFit:
         assert np.isfinite(result.albedo).all()
         assert np.isfinite(result.lighting).all()
         assert result.uncertainty is not None
-
-    @pytest.mark.slow
-    def test_time_that_runs_out_says_how_many_tiles_are_unfinished(
-        self, noisy: pbrfit.Scene, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        """A clock that jumps after the fourth tile."""
-        real, asked_since = time.perf_counter, [-1]
-
-        def progress(told: Progress) -> None:
-            if told.tiles == (4, 9):
-                asked_since[0] = 0
-
-        def clock() -> float:
-            asked_since[0] += asked_since[0] >= 0
-            # Once for the time that `progress` took, which is not counted.
-            return real() + 1e6 * (asked_since[0] > 1)
-
-        monkeypatch.setattr(time, "perf_counter", clock)
-        result = held(noisy, time_limit=1e5, progress=progress)
-        assert result.status is Status.TIME_LIMIT
-        assert result.stop_reason.endswith("5 of 9 tiles are unfinished")
-        assert np.isfinite(result.albedo).all()
-        assert result.metrics["recon_rmse"] < 0.05
-
-
-@pytest.mark.usefixtures("nine_tiles")
-class TestCommand:
-    @pytest.mark.slow
-    @pytest.mark.parametrize("option", ["--verbose", "--quiet"])
-    def test_shows_tiles_or_nothing(
-        self,
-        noisy: pbrfit.Scene,
-        option: str,
-        tmp_path: Path,
-        monkeypatch: pytest.MonkeyPatch,
-        capsys: pytest.CaptureFixture[str],
-    ) -> None:
-        noisy.save(tmp_path / "scene")
-        monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-        command = ["decompose", str(tmp_path / "scene"), "--out", str(tmp_path / "result")]
-        assert main([*command, option, "--refine-normals", "off"]) == 0
-        told = capsys.readouterr()
-        said = "all pixels in tiles, lights held (9 tiles;"
-        assert (said in told.out) == bool(told.err) == (option == "--verbose")
 
 
 class TestWhenTilesAreUsed:
@@ -351,12 +267,6 @@ class TestWhenTilesAreUsed:
         assert without.tiled
         assert not without.refine_normals
         assert "are available" in known(without.hindered)
-
-    def test_and_where_nothing_fits_it_is_said(self, available: list[int | None]) -> None:
-        available[0] = 1000
-        plan = self.plan(2 * WHOLE_PIXELS_MAX)
-        with pytest.raises(pbrfit.InputError, match=r"expected .* of memory to be available"):
-            memory.check("gauss-newton", plan.needed)
 
     def test_eight_megapixels_with_16_pictures_take_less_than_8_gib(self) -> None:
         scene = make_scene("room", size=8, lights=16, held_out=1)

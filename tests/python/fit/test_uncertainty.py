@@ -17,10 +17,7 @@ import pbrfit
 from pbrfit.fit import discrepancy, light_modes, settings, uncertainty
 from pbrfit.fit.discrepancy import Discrepancy
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.priors.population import LOG_ALBEDO_DEVIATION
 from pbrfit.fit.settings import MEAN_RADIANCE, SAMPLE_USES, SIGMA_MAX
-from pbrfit.fit.uncertainty import scale_deviation
-from pbrfit.io.images import read_channels, write_exr
 from pbrfit.result.uncertainty import Uncertainty, layer_names
 from pbrfit.result.verdict import PARAMETERS
 from pbrfit.synthetic import make_scene
@@ -83,15 +80,6 @@ def dense_deviations(objective: Objective, x: Array, noise: float) -> tuple[Arra
     return deviations(rows[:, maps], ~held[maps]), deviations(rows, ~held)
 
 
-def stacked(maps: pbrfit.Materials, objective: Objective) -> Array:
-    """(P, D) of maps."""
-    layout = objective.layout
-    columns = [maps.albedo[layout.valid][:, : layout.channels].T, maps.roughness[layout.valid]]
-    if not layout.metallic_known:
-        columns.append(maps.metallic[layout.valid])
-    return np.vstack(columns).T
-
-
 def estimated(objective: Objective, x: Array, **scale: Array) -> Uncertainty:
     """The uncertainty of x without a prior, and by default of a scale that is known."""
     found = discrepancy.find(objective, x)
@@ -147,27 +135,6 @@ def test_noise_has_its_degrees_of_freedom() -> None:
     scene = make_scene("room", size=24, lights=12, held_out=1, noise=0.01, seed=2003)
     objective = Objective(scene)
     assert estimated(objective, at_truth(objective, scene)).noise == pytest.approx(0.01, rel=0.05)
-
-
-def test_a_value_on_a_bound_may_be_off_on_the_other_side() -> None:
-    _, objective, x = scene_and_x()
-    metallic = known(objective.layout.metallic)
-    x[metallic] = 0.0
-    found = estimated(objective, x)
-    inside = objective.layout.valid
-    assert (found.deviation.metallic[inside] > 0).all()
-    assert (found.low.metallic[inside] == 0).all()
-    assert (found.high.metallic[inside] > 0).all()
-    assert np.isnan(found.deviation.metallic[~inside]).all()
-
-
-def test_intervals_hold_the_value_and_stay_in_range() -> None:
-    _, objective, x = scene_and_x()
-    found = uncertainty.spread(objective, x, told(0.1, objective, x), None)
-    assert (found.low <= found.value).all()
-    assert (found.value <= found.high).all()
-    assert found.low.min() >= 0
-    assert found.high.max() <= 1
 
 
 @pytest.mark.parametrize("light", ["sh", "lamps"])
@@ -262,37 +229,6 @@ def test_shade_is_in_the_deviation_of_albedo_however_many_pictures() -> None:
     assert (expected > 1e-6).all()
 
 
-def test_a_found_scale_is_no_surer_than_samples_and_never_less_sure_than_albedos() -> None:
-    clean, noisy = (Discrepancy(of, 0.0, np.zeros((0, 1, 16, 1)), 0.0) for of in (1e-12, 1e-4))
-    found = np.full(3, 0.01)
-    np.testing.assert_allclose(scale_deviation(found, clean, referred=False), 0.01, rtol=1e-3)
-    assert (scale_deviation(found, noisy, referred=False) > 0.04).all()
-    np.testing.assert_array_equal(scale_deviation(found, noisy, referred=True), found)
-    off = dataclasses.replace(clean, shared=1e-3)
-    assert (scale_deviation(found, off, referred=False) > 0.4).all()
-    assert scale_deviation(None, clean, referred=False) == LOG_ALBEDO_DEVIATION
-    assert scale_deviation(np.zeros(1), off, referred=False) == 0  # known lights
-
-
-def test_deviations_grow_with_the_noise_alone() -> None:
-    """Ten times the exposure is ten times the noise in picture units, and nothing else."""
-    scene, objective, x = scene_and_x()
-    brighter = Objective(dataclasses.replace(scene, images=10 * scene.images, truth=None))
-    one, ten = estimated(objective, x), estimated(brighter, x)
-    assert ten.noise == pytest.approx(10 * known(one.noise), rel=1e-5)
-    np.testing.assert_allclose(
-        stacked(ten.deviation, brighter), stacked(one.deviation, objective), rtol=1e-3
-    )
-
-
-def test_what_pictures_share_is_in_the_deviations() -> None:
-    _, objective, x = scene_and_x()
-    one = told(1e-12, objective, x)
-    four = dataclasses.replace(one, picture_effect=4.0)
-    before, after = (uncertainty.spread(objective, x, of, None).variance for of in (one, four))
-    np.testing.assert_allclose(after, 4 * before, rtol=1e-3)
-
-
 @functools.cache
 def with_uncertainty() -> pbrfit.Result:
     scene, objective, x = scene_and_x()
@@ -318,20 +254,3 @@ def test_a_result_folder_keeps_it(tmp_path: Path) -> None:
     assert all(np.isfinite(layer).all() for layer in layers.values())
     content = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
     assert set(content["uncertainty"]["verdicts"]) == set(PARAMETERS)
-
-
-def test_a_result_without_it_has_none(tmp_path: Path) -> None:
-    result = dataclasses.replace(with_uncertainty(), uncertainty=None)
-    result.save(tmp_path / "out")
-    assert pbrfit.Result.load(tmp_path / "out").uncertainty is None
-    assert not any("uncertainty" in name for name in read_channels(tmp_path / "out/materials.exr"))
-
-
-def test_a_lost_layer_is_named(tmp_path: Path) -> None:
-    with_uncertainty().save(tmp_path / "out")
-    file = tmp_path / "out" / "materials.exr"
-    channels = dict(read_channels(file))
-    del channels["uncertainty.metallic.Y"]
-    write_exr(file, channels)
-    with pytest.raises(pbrfit.InputError, match=r"expected channel uncertainty\.metallic\.Y"):
-        pbrfit.Result.load(tmp_path / "out")

@@ -10,7 +10,6 @@ import pytest
 
 from pbrfit import decompose
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.tiles.windows import Window, cut
 from pbrfit.synthetic import make_scene
 from scene_files import known
 
@@ -62,13 +61,3 @@ def test_clipped_pictures_are_fitted_as_whole_ones(
     whole, found, as_data = np.sum(errors, axis=0)
     assert found < 1.2 * whole
     assert as_data > 1.3 * found
-
-
-def test_windows_of_a_scene_have_its_limits() -> None:
-    scene = make_scene("room", size=16, lights=4, held_out=1, seed=2, noise=0.01)
-    limits = np.zeros(scene.images.shape, np.uint8)
-    limits[1, 3, 4, 0], limits[:, 9, 9] = 1, 2
-    part = cut(replace(scene, limits=limits), Window(slice(2, 12), slice(4, 12)))
-    np.testing.assert_array_equal(part.limits, limits[:, 2:12, 4:12])
-    assert np.argwhere(~part.valid).tolist() == [[7, 5]]
-    assert part.noise_floor(0) is None

@@ -18,7 +18,7 @@ from PIL import Image
 from fuzz import seeds
 from fuzz.damage import png_chunk
 from pbrfit._core import InputError
-from pbrfit.io import color, images, radiance
+from pbrfit.io import color, images
 from pbrfit.io.input_files import digest
 
 RNG = np.random.default_rng(4)
@@ -386,12 +386,3 @@ def test_adobe_rgb_by_exif(
     by_name = images.read_picture(path, color_space=space)
     np.testing.assert_allclose(picture.pixels, by_name.pixels, atol=1e-3)
     assert picture.taken.settings["colour profile"] == space
-
-
-def test_adobe_rgb_by_name(tmp_path: Path) -> None:
-    Image.fromarray(RGB8).save(tmp_path / "a.png")
-    picture = images.read_picture(tmp_path / "a.png", color_space="adobe-rgb")
-    np.testing.assert_allclose(picture.pixels, ADOBE, rtol=1e-5, atol=1e-6)
-    Image.fromarray(RGB8).save(tmp_path / "a.tif", exif=exif(2).tobytes())
-    np.testing.assert_array_equal(images.read_picture(tmp_path / "a.tif").pixels, picture.pixels)
-    assert radiance.read((tmp_path / "a.png").read_bytes()) is None

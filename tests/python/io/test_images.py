@@ -321,13 +321,6 @@ def test_a_display_p3_profile_is_converted(tmp_path: Path) -> None:
     assert (known(tagged.limits)[only_red][:, :2] == [AT_LEAST, AT_MOST]).all()
 
 
-def test_a_gamma_profile_with_acescg_primaries_at_16_bits(tmp_path: Path) -> None:
-    profile = icc_rgb(color.ACES_AP1, icc_gamma(2.0))
-    tifffile.imwrite(tmp_path / "a.tif", RGB16, photometric="rgb", iccprofile=profile)
-    expected = (RGB16 / 65535) ** 2 @ color.to_rec709(color.ACES_AP1).T
-    np.testing.assert_allclose(images.read_picture(tmp_path / "a.tif").pixels, expected, atol=2e-4)
-
-
 def test_a_grey_profile(tmp_path: Path) -> None:
     profile = icc(b"GRAY", {b"kTRC": icc_gamma(1.5), b"wtpt": icc_xyz(color.ICC_D50)})
     save_png(tmp_path / "a.png", RGB8[..., 0], icc_profile=profile)
@@ -671,15 +664,6 @@ def test_unwritable_pictures_leave_no_file(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_picture_in_the_place_of_a_folder_leaves_nothing_behind(tmp_path: Path) -> None:
-    (tmp_path / "taken").mkdir()
-    with pytest.raises(OSError, match="taken"):
-        images.write_png(tmp_path / "taken", RGB8, tag="srgb")
-    with pytest.raises(OSError, match="taken"):
-        images.write_exr(tmp_path / "taken", {"Y": FLOAT[..., 0]})
-    assert [path.name for path in tmp_path.rglob("*")] == ["taken"]
-
-
 @pytest.mark.parametrize(
     ("name", "data", "message"),
     [
@@ -763,7 +747,7 @@ def test_cut_off_files_are_errors(tmp_path: Path, name: str) -> None:
         images.read_picture(path)
     path.write_bytes(data)
     images.read_picture(path)
-    lengths = {*range(0, len(data), max(1, len(data) // 100)), *range(len(data) - 12, len(data))}
+    lengths = {*range(0, len(data), max(1, len(data) // 25)), *range(len(data) - 6, len(data))}
     # Behind the strips of a TIFF may come padding, and a deflated strip ends in 6 bytes (end of
     # block, checksum) that no pixel needs; there a cut may do no harm.
     needed = strips_end(data) - 6 if name.startswith("tif") else len(data)

@@ -23,7 +23,6 @@ from pbrfit.io.input_files import (
     TEXT_BYTES,
     digest,
     read_bytes,
-    read_text,
 )
 from pbrfit.io.json_files import read_json
 from pbrfit.io.lamp_files import read_lamps
@@ -157,17 +156,6 @@ def sparse(path: Path, start: bytes, size: int) -> Path:
     path.write_bytes(start)
     os.truncate(path, size)
     return path
-
-
-@pytest.mark.parametrize("over", [0, 1])
-def test_a_text_is_read_up_to_its_bound(tmp_path: Path, over: int) -> None:
-    path = tmp_path / "scene.toml"
-    path.write_bytes(b"#" * (SETTINGS_BYTES + over))
-    if over:
-        with pytest.raises(InputError, match="at most 262,144 bytes, found 262,145"):
-            read_text(path, SETTINGS_BYTES)
-    else:
-        assert len(read_text(path, SETTINGS_BYTES)) == SETTINGS_BYTES
 
 
 @pytest.mark.parametrize(

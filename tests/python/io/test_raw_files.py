@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from PIL import Image
 
 from pbrfit import InputError, Scene
 from pbrfit.io import images, raw_files
@@ -148,28 +147,10 @@ def test_without_a_matrix_of_the_file_it_follows_from_that_of_xyz(raw: FakeRaw) 
     assert raw_files._matrix(raw) is None
 
 
-@pytest.mark.parametrize(("flip", "place"), [(0, (4, 6)), (3, (7, 9)), (5, (9, 4)), (6, (6, 7))])
-def test_clipped_samples_are_turned_as_the_picture_is(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, flip: int, place: tuple[int, int]
-) -> None:
-    shape = (W, H, 3) if flip & 4 else (H, W, 3)
-    raw = use(monkeypatch, FakeRaw(np.full(shape, 9, np.uint16), flip))
-    raw.raw_image_visible[4, 6] = 1000
-    limits = known(images.read_picture(written(tmp_path)).limits)
-    rows, columns = np.nonzero(limits[..., 0])
-    assert ((rows.min() + rows.max()) / 2, (columns.min() + columns.max()) / 2) == place
-
-
 def test_a_sensor_of_another_shape_leaves_the_developed_codes(raw: FakeRaw, tmp_path: Path) -> None:
     raw.raw_image_visible = np.full((H + 2, W), 1000, np.uint16)
     raw.raw_colors_visible = np.zeros((H + 2, W), np.uint8)
     assert images.read_picture(written(tmp_path)).limits is None
-
-
-def exif_block(millimetres: int) -> bytes:
-    exif = Image.Exif()
-    exif[0x8769] = {0xA405: millimetres}
-    return exif.tobytes()
 
 
 @pytest.mark.parametrize(
@@ -183,13 +164,6 @@ def test_the_focal_length_of_its_own_exif(tmp_path: Path, head: bytes) -> None:
     path = tmp_path / "a.rw2"
     path.write_bytes(head + own)
     assert images.read_picture(path).taken.focal_length_35mm == 35
-
-
-def test_else_of_the_picture_for_a_quick_look(raw: FakeRaw, tmp_path: Path) -> None:
-    raw.thumb = b"\xff\xd8\xff\xe1\0\0" + exif_block(28)
-    assert images.read_picture(written(tmp_path)).taken.focal_length_35mm == 28
-    raw.thumb = b"\xff\xd8 nothing"
-    assert images.read_picture(written(tmp_path)).taken.focal_length_35mm is None
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ Arguments = dict[str, Any]
 EXAMPLES = os.environ.get("PBRFIT_EXAMPLES")
 
 thorough = settings(
-    max_examples=int(EXAMPLES or 30),
+    max_examples=int(EXAMPLES or 15),
     deadline=None,
     derandomize=EXAMPLES is None,  # the same examples in every run
     suppress_health_check=[HealthCheck.too_slow],

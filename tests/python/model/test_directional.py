@@ -204,48 +204,12 @@ def test_extremes_are_finite_and_not_negative(model: Model) -> None:
         assert (found >= 0).all(), (r, m, rho)
 
 
-@pytest.mark.parametrize("model", MODELS)
-def test_brightest_lights_do_not_overflow(model: Model) -> None:
-    r = np.geomspace(1e-20, 1, 400)[None]
-    materials = Materials(np.ones((1, r.size, 3)), r, np.ones_like(r))
-    up = np.tile(UP, (1, r.size, 1))
-    assert np.isfinite(render_directional(materials, up, UP, 1e260 * WHITE, 0, model=model)).all()
-
-
 def maps(height: int, width: int, seed: int) -> tuple[Materials, Array]:
     rng = np.random.default_rng(seed)
     materials = Materials(
         rng.random((height, width, 3)), rng.random((height, width)), rng.random((height, width))
     )
     return materials, unit(rng.normal(size=(height, width, 3)) + 2 * UP)
-
-
-@pytest.mark.parametrize("model", MODELS)
-def test_the_same_bits_with_any_number_of_threads_and_one_light_at_a_time(model: Model) -> None:
-    materials, normals = maps(61, 53, 5)
-    _, _, directions = frames(7, 6, 3)
-    colors = np.random.default_rng(7).random((7, 3))
-    given = (materials, normals, directions, colors, 60.0)
-    one = render_directional(*given, threads=1, model=model)
-    assert one.shape == (7, 61, 53, 3)
-    for threads in (0, 2, 5):
-        again = render_directional(*given, threads=threads, model=model)
-        assert again.tobytes() == one.tobytes()
-    alone = [
-        render_directional(materials, normals, d, c, 60.0, model=model)
-        for d, c in zip(directions, colors, strict=True)
-    ]
-    assert np.array(alone).tobytes() == one.tobytes()
-
-
-def test_pixels_outside_the_mask_stay_nan() -> None:
-    materials, normals = maps(5, 4, 8)
-    whole = render_directional(materials, normals, UP, WHITE, 0.0)
-    normals[1, 2] = np.nan
-    part = render_directional(materials, normals, UP, WHITE, 0.0)
-    assert np.isnan(part[1, 2]).all()
-    part[1, 2] = whole[1, 2]
-    np.testing.assert_array_equal(part, whole)
 
 
 @pytest.mark.parametrize(

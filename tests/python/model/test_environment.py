@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,8 +29,6 @@ SURFACES = {
     "metal, r = 0.2": (0.8, 0.2, 1.0),
 }
 """Albedo, roughness, metallic."""
-
-PANORAMAS = ("dancing_hall_1k", "studio_small_03_1k", "forest_slope_1k")
 
 
 def sphere(
@@ -101,17 +98,6 @@ def test_reflections_of_lamps_are_those_of_all_pixels(name: str) -> None:
     ball = sphere(*SURFACES[name], FEW)
     found = render_environment(*ball, Environment(pixels), 0, model="principled")
     assert off(found, summed(pixels, SURFACES[name], "principled")) < 0.06
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("panorama_name", PANORAMAS)
-def test_real_panoramas_are_within_a_few_percent(shared_data: Path, panorama_name: str) -> None:
-    pixels = panorama.read(shared_data / "hdri" / f"{panorama_name}.hdr")
-    light = Environment(pixels)
-    coarse = pixels.reshape(256, 2, 512, 2, 3).mean(axis=(1, 3)).astype(np.float64)
-    for name, surface in SURFACES.items():
-        found = render_environment(*sphere(*surface), light, 0, model="principled")
-        assert off(found, summed(coarse, surface, "principled", SIDE)) < 0.045, name
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -200,14 +186,6 @@ def test_colours_beyond_rec_709_count_as_none() -> None:
 def test_what_is_no_panorama_is_refused(pixels: Any, rotate: float, message: str) -> None:
     with pytest.raises(InputError, match=message):
         Environment(pixels, rotate)
-
-
-@pytest.mark.parametrize("wrong", [np.nan, np.inf, 1e30])
-def test_radiance_beyond_numbers_is_refused(wrong: float) -> None:
-    pixels = np.ones((8, 16, 3))
-    pixels[3, 4, 1] = wrong
-    with pytest.raises(InputError, match="pixels: expected"):
-        _ = Environment(pixels).blurred
 
 
 @pytest.mark.parametrize("model", MODELS)

@@ -40,13 +40,6 @@ def test_lamps_beside_each_other_do_not_matter(model: str) -> None:
 
 
 @every_model
-def test_radiance_does_not_depend_on_threads(model: str) -> None:
-    given = pixels(3000, 2, 1)
-    one, two = (_core.lamp_radiance(**given, threads=t, model=model) for t in (1, 2))
-    np.testing.assert_array_equal(one, two)
-
-
-@every_model
 def test_below_the_horizon_all_is_zero(model: str) -> None:
     given = pixels(40, 2, 3)
     normals = given["normals"][:, None]

@@ -157,24 +157,6 @@ def same(found: Lamps | None, expected: Lamps) -> None:
         np.testing.assert_array_equal(getattr(known(found), name), getattr(expected, name))
 
 
-def test_a_file_without_lamps_says_no_version(tmp_path: Path) -> None:
-    path = tmp_path / "lighting.json"
-    Lighting(NAMES, sky()).save(path)
-    assert next(iter(json.loads(path.read_text("utf-8")))) == "basis"
-    assert Lighting.load(path).lamps is None
-    assert Lighting.load(path).lamps_of(NAMES) is None
-
-
-def test_pictures_without_a_lamp_and_unknown_colours(tmp_path: Path) -> None:
-    path = tmp_path / "lighting.json"
-    lamps = Lamps(np.array([1]), np.array([(0, 0, 1)]))
-    Lighting(NAMES, sky(), lamps).save(path)
-    assert "color" not in json.loads(path.read_text("utf-8"))["lamps"][0]
-    same(Lighting.load(path).lamps, lamps)
-    Lighting(NAMES, sky(), lamps.of_pictures([])).save(path)
-    assert len(known(Lighting.load(path).lamps)) == 0
-
-
 def test_lamps_in_the_order_of_pictures() -> None:
     lighting = Lighting(NAMES, sky(), three())
     found = lighting.lamps_of(("ç d", "a"))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -16,7 +15,6 @@ import reference
 from finite_differences import ridders
 from pbrfit.model.reflection import MODELS, Model
 from reference import seen_at, unit
-from scene_kinds import with_entry
 
 # Whatever the default is.
 render = partial(pbrfit.kernel.render, model="paper")
@@ -208,18 +206,6 @@ def test_leading_dimensions_broadcast(
         np.testing.assert_array_equal(a, b)
 
 
-def test_arrays_of_other_precision_and_lists() -> None:
-    pixels = random_pixels(40, 7)
-    expected = shade(**pixels)
-    single = {name: array.astype(np.float32) for name, array in pixels.items()}
-    found = shade(**single)
-    assert found.dtype == np.float64
-    widened = {name: array.astype(np.float64) for name, array in single.items()}
-    np.testing.assert_array_equal(found, shade(**widened))
-    listed = {name: array.tolist() for name, array in pixels.items()}
-    np.testing.assert_array_equal(shade(**listed), expected)
-
-
 @pytest.mark.parametrize(("height", "width", "fov"), [(3, 5, 60.0), (4, 4, 90.0), (7, 2, 20.0)])
 def test_view_directions_follow_the_pinhole(height: int, width: int, fov: float) -> None:
     view = pbrfit.kernel.view_directions(height, width, fov)
@@ -273,66 +259,6 @@ def test_render_leaves_pixels_outside_the_mask_nan() -> None:
     outside[0, 1] = outside[1, 2] = True
     np.testing.assert_array_equal(np.isnan(picture).all(axis=-1), outside)
     np.testing.assert_array_equal(np.isnan(picture).any(axis=-1), outside)
-
-
-GOOD: dict[str, Any] = {
-    "normal": np.tile([0.0, 0, 1], (4, 1)),
-    "view": np.tile([0.6, 0, 0.8], (4, 1)),
-    "albedo": np.full((4, 3), 0.5),
-    "roughness": np.full(4, 0.5),
-    "metallic": np.full(4, 0.5),
-}
-GOOD_COTANGENT = np.ones((4, 3, 16))
-
-
-BAD: list[tuple[str, str, Any]] = [
-    *((name, "last axis", GOOD[name][:, :2]) for name in ("normal", "view", "albedo")),
-    *((name, "no axis", np.array(1.0)) for name in ("normal", "view", "albedo")),
-    *((name, "leading axis", GOOD[name][:3]) for name in GOOD),
-    *((name, "zero", np.zeros((4, 3))) for name in ("normal", "view")),
-    *((name, "not unit", 2 * GOOD[name]) for name in ("normal", "view")),
-    *(
-        (name, "out of range", with_entry(GOOD[name], value))
-        for name in ("albedo", "roughness", "metallic")
-        for value in (-1e-9, 1 + 1e-9, 7.0)
-    ),
-]
-
-
-@pytest.mark.parametrize(("name", "what", "value"), BAD, ids=[f"{b[0]}-{b[1]}" for b in BAD])
-def test_shade_refuses_and_names_the_argument(name: str, what: str, value: Any) -> None:
-    del what
-    with pytest.raises(pbrfit.InputError, match=rf"\b{name}\b") as refusal:
-        shade(**(GOOD | {name: value}))
-    assert "\n" not in str(refusal.value)
-    with pytest.raises(pbrfit.InputError, match=rf"\b{name}\b"):
-        shade_vjp(**(GOOD | {name: value}), cotangent=GOOD_COTANGENT)
-
-
-@pytest.mark.parametrize(
-    "cotangent",
-    [np.ones((4, 16, 3)), np.ones(16), np.ones((3, 3, 16)), with_entry(GOOD_COTANGENT, math.nan)],
-)
-def test_shade_vjp_refuses_a_bad_cotangent(cotangent: Array) -> None:
-    with pytest.raises(pbrfit.InputError, match="cotangent"):
-        shade_vjp(**GOOD, cotangent=cotangent)
-
-
-@pytest.mark.parametrize(
-    ("call", "name"),
-    [
-        (lambda: pbrfit.kernel.sh_basis(np.ones((4, 2))), "directions"),
-        (lambda: pbrfit.kernel.sh_basis([0.0, 0, 0]), "directions"),
-        (lambda: pbrfit.kernel.ggx_band_weights(-0.1), "r"),
-        (lambda: pbrfit.kernel.ggx_band_weights(1.0000001), "r"),
-        (lambda: pbrfit.kernel.view_directions(4, 4, 180.0), "fov"),
-        (lambda: pbrfit.kernel.view_directions(4, 4, -1.0), "fov"),
-        (lambda: pbrfit.kernel.view_directions(4, 4, math.nan), "fov"),
-    ],
-)
-def test_refusals_of_the_other_functions(call: Callable[[], object], name: str) -> None:
-    with pytest.raises(pbrfit.InputError, match=rf"\b{name}"):
-        call()
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,6 @@ import ast
 import dataclasses
 import functools
 import json
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -116,24 +115,6 @@ def test_a_call_that_leaves_it_to_the_default_would_be_found(tmp_path: Path) -> 
     assert calls_without_model(file) == ["some.py:2: render"]
 
 
-@pytest.mark.parametrize("model", MODELS)
-def test_a_scene_folder_keeps_what_rendered_its_pictures(model: Model, tmp_path: Path) -> None:
-    room(model).save(tmp_path / "scene")
-    back = Scene.load(tmp_path / "scene")
-    assert back.model == room(model).model == model
-    assert back.assumed["model"] == f"{model}, with which the pictures were rendered (scene.toml)"
-    assert Objective(back).model == model
-
-
-def test_pictures_of_unknown_origin_have_none(tmp_path: Path) -> None:
-    scene = Scene.load(write_folder(tmp_path / "scene"))
-    assert scene.model is None
-    assert "model" not in scene.assumed
-    assert Objective(scene).model == DEFAULT_MODEL
-    scene.save(tmp_path / "again")
-    assert "model" not in (tmp_path / "again" / "scene.toml").read_text("utf-8")
-
-
 def test_scene_toml_names_a_model_or_is_refused(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "scene", fov='fov = 60\nmodel = "eq12"')
     with pytest.raises(InputError) as refused:
@@ -201,15 +182,6 @@ def test_a_result_to_start_from_is_of_the_same_model(model: Model) -> None:
     decompose(room(model), start=found.materials, model=OTHER[model], iterations=0)
 
 
-@pytest.mark.parametrize("model", MODELS)
-def test_a_result_folder_says_its_model(model: Model, tmp_path: Path) -> None:
-    result(model).save(tmp_path / "out")
-    content = json.loads((tmp_path / "out" / "result.json").read_text("utf-8"))
-    assert content["model"] == model
-    assert Result.load(tmp_path / "out").model == model
-    assert Result.load(tmp_path / "out").options == result(model).options
-
-
 @pytest.mark.parametrize("name", ["eq12", ["paper"]])
 def test_a_result_of_no_known_model_is_refused(name: Any, tmp_path: Path) -> None:
     result("paper").save(tmp_path / "out")
@@ -260,29 +232,3 @@ def test_results_of_other_models_stay(tmp_path: Path, capsys: pytest.CaptureFixt
     assert (out / "result.json").read_bytes() == before
     assert run(*fit, "--model", "principled", "--overwrite") == 0
     assert Result.load(out).model == "principled"
-
-
-@pytest.mark.slow
-def test_in_a_batch_only_the_scene_with_a_result_of_another_model_fails(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for name in ("one", "two"):
-        write_folder(tmp_path / "scenes" / name)
-    one, out = tmp_path / "scenes" / "one", tmp_path / "out"
-    assert run("decompose", one, "--out", out / "one", *FEW, "--model", "principled") == 0
-    capsys.readouterr()
-    fit = ("decompose", tmp_path / "scenes", "--out", out, *FEW, "--model", "paper")
-    assert run(*fit, "--resume") == 1
-    assert f"{out / 'one'}: expected a result of model paper to resume" in capsys.readouterr().err
-    assert Result.load(out / "one").model == "principled"
-    assert Result.load(out / "two").model == "paper"
-    shutil.rmtree(out / "one")
-    assert run(*fit, "--resume") == 0
-
-
-@pytest.mark.parametrize("command", ["decompose", "synth", "demo", "check-gradients"])
-def test_the_help_says_what_each_model_is(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(command, "--help-all" if command == "decompose" else "--help") == 0
-    help_text = " ".join(capsys.readouterr().out.split())
-    assert "--model {paper,principled}" in help_text
-    assert "(default: paper) (default: paper)" not in help_text

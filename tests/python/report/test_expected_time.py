@@ -33,20 +33,20 @@ def test_pictures_are_looked_at_smaller_and_a_fit_is_told_whole(
     rng, exif = np.random.default_rng(1), Image.Exif()
     exif[0x0112] = 3
     for i in range(6):
-        codes = rng.integers(60, 140, (16, 20, 1)).repeat(40, axis=0).repeat(40, axis=1)
-        codes = np.rint(codes + rng.normal(0, 3, (640, 800, 3))).astype(np.uint8)
+        codes = rng.integers(60, 140, (16, 20, 1)).repeat(20, axis=0).repeat(20, axis=1)
+        codes = np.rint(codes + rng.normal(0, 3, (320, 400, 3))).astype(np.uint8)
         Image.fromarray(codes).save(tmp_path / f"{i}.{suffix}", quality=95, exif=exif)
     looked, small = load(tmp_path, Scene, look=100), Scene.load(tmp_path, max_size=100)
     assert looked.images.shape == (6, 80, 100, 3)
     np.testing.assert_allclose(looked.images, small.images, atol=0.03)
     told, whole = dict(facts(looked)), dict(facts(Scene.load(tmp_path)))
-    assert told["pictures"] == "6 of 800 × 640 pixels; values are of their means over 100 × 80"
+    assert told["pictures"] == "6 of 400 × 320 pixels; values are of their means over 100 × 80"
     for topic in ("mask", "unknowns", "time needed", "memory needed", "assumed color"):
         assert told[topic] == whole[topic]
     assert "assumed size" not in told
-    smaller = dict(facts(load(tmp_path, Scene, ReadOptions(max_size=500), look=100)))
-    assert smaller["assumed size"] == "averaged down from 800 × 640 to 500 × 400 pixels"
-    assert smaller["pictures"].startswith("6 of 500 × 400 pixels; values")
+    smaller = dict(facts(load(tmp_path, Scene, ReadOptions(max_size=250), look=100)))
+    assert smaller["assumed size"] == "averaged down from 400 × 320 to 250 × 200 pixels"
+    assert smaller["pictures"].startswith("6 of 250 × 200 pixels; values")
 
 
 @pytest.mark.parametrize(("known", "pixels", "pictures", "seconds"), MEASURED)

@@ -304,16 +304,6 @@ def test_the_same_result_gives_the_same_page(page: Page, folder: Path, tmp_path:
     assert again.content == page.content
 
 
-def test_scene_and_result_may_move_together(unfitted: Path, tmp_path: Path) -> None:
-    for name in ("scene", "result"):
-        shutil.copytree(unfitted / name, tmp_path / "else" / name)
-    content = json.loads((unfitted / "result" / "result.json").read_text("utf-8"))
-    assert content["scene"]["path"] == "../scene"
-    result = Result.load(tmp_path / "else" / "result")
-    assert known(result.source).path == (tmp_path / "else" / "scene").resolve()
-    assert "Picture light_00" in str(written(result, tmp_path / "page.html").all("img"))
-
-
 def test_a_scene_that_is_gone_is_said_and_its_pictures_are_not_shown(
     unfitted: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -479,16 +469,6 @@ def test_samples_without_weight_are_white_in_the_residual_and_counted(tmp_path: 
     assert min(abs(value - rmse) for value in found.values) <= 1e-9 * rmse
 
 
-def test_there_are_no_deviations_where_nothing_tells_the_noise(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    images = rng.random((3, 1, 1, 3)).astype(np.float32) + 0.1
-    result = decompose(Scene(images, np.array([[[0.0, 0.0, 1.0]]])), iterations=3)
-    assert known(result.uncertainty).noise is None
-    page = written(result, tmp_path / "page.html")
-    assert "There are no more samples than unknowns, so nothing tells the noise." in page.text
-    assert "median deviation" not in page.text
-
-
 def test_grey_pictures_and_one_picture_of_known_light(tmp_path: Path) -> None:
     made = make_scene("room", size=SIZE, lights=2)
     grey = np.repeat(made.images[:1, ..., :1], 3, axis=-1)
@@ -635,21 +615,6 @@ def test_the_main_direction_of_light_from_one_direction(azimuth: float, elevatio
     assert light.directed == pytest.approx(1.0)
     assert light.color == pytest.approx((1.0, 0.5, 0.25))
     assert light.negative == pytest.approx(0.445, abs=2e-3)  # a sum of four bands rings
-
-
-def test_light_from_everywhere_has_no_direction_and_its_mean_is_its_radiance() -> None:
-    coefficients = np.zeros((16, 3))
-    coefficients[0] = 2 * math.sqrt(math.pi) * 3.0
-    light = lights.measure(coefficients)
-    assert light.mean == pytest.approx(3.0)
-    assert light.directed == 0.0
-    assert light.negative == 0.0
-    assert lights.measure(np.zeros((16, 3))).mean == 0.0
-    balls, radiance = lights.balls_and_panorama(coefficients, light, "paper")
-    # A mirror shows the light as it is.
-    middle = balls[48, 104 + 48]
-    np.testing.assert_allclose(middle, 1.0, atol=0.02)
-    assert np.isfinite(radiance).all()
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from browser import launched, visit, wait_until
 from page_reader import Page
 from pbrfit import Result
 from pbrfit.model.lamps import Lamps
@@ -108,24 +107,6 @@ def test_the_height_has_a_map_with_pixels_on_its_scale(page: Page) -> None:
     assert "Map of the height" in alts
     assert "Normals and height were found from the pictures" in page.text
     assert "found from the pictures, in camera space" in page.text
-
-
-def test_a_browser_shows_lamps_without_complaint(result: Result, tmp_path: Path) -> None:
-    write_report(result, tmp_path / "page.html")
-    with launched() as browser:
-        for width in (390, 1280):
-            with visit(browser, tmp_path / "page.html", width=width) as visited:
-                visited.page.evaluate("location.hash = 'lamps'")
-                wait_until(visited.page, "document.querySelector('#lamps details').open")
-                inside = visited.page.evaluate("document.documentElement.scrollWidth")
-                drawn = visited.page.locator("#lamps .plot img").bounding_box()
-                lights = visited.page.locator(".relight-film img + span").all_inner_texts()
-                visited.page.wait_for_timeout(300)
-            assert visited.troubles == []
-            assert inside <= width
-            assert drawn is not None
-            assert drawn["x"] + drawn["width"] <= width
-            assert lights[:3] == ["a", "b", "c"]
 
 
 def test_a_flat_height_and_no_ambient_light_are_no_failure(result: Result, tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from pbrfit.kernel import ggx_band_weights
 from pbrfit.model.geometry import view_directions
 from pbrfit.report.viewer import BAND_NODES, film, fragment, maps
 from pbrfit.result import metrics
-from relight_view import made, room
+from relight_view import made
 
 
 def unpacked(packed: bytes, height: int, width: int) -> dict[str, NDArray[np.int64]]:
@@ -101,14 +101,6 @@ def test_band_weights_between_the_nodes_are_off_by_less_than_5e_6() -> None:
     for band in range(4):
         found = np.interp(roughness, at, nodes[:, band].astype(np.float32))
         assert np.abs(found - true[:, band]).max() < 5e-6, band
-
-
-@pytest.mark.slow
-def test_noise_takes_less_than_14_bytes_a_pixel_and_a_room_less_than_2() -> None:
-    noise = maps.packed(maps.of_result(made(200, 300), 1024))
-    assert len(noise) / (200 * 300) < 14
-    furnished = maps.packed(maps.of_result(room(128), 1024))
-    assert len(furnished) / 128**2 < 2
 
 
 @pytest.mark.parametrize(("size", "kind"), [(20, "png"), (300, "jpeg")])

@@ -10,13 +10,12 @@ import pytest
 
 from left_out_pictures import EXPLAINED, UNEXPLAINED
 from pbrfit.fit.decompose import decompose
-from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
 from pbrfit.result import advice
 from pbrfit.result.advice import next_steps
 from pbrfit.result.camera import FOV_DOUBTED, Camera
 from pbrfit.result.data import Status
-from pbrfit.result.light_sides import ASIDE, ONE_SIDE, main_directions, one_side, unlit_sides
+from pbrfit.result.light_sides import ASIDE, ONE_SIDE, one_side, unlit_sides
 from pbrfit.result.result import Result
 from pbrfit.result.verdict import PARAMETERS, Verdict, capped, level_of
 from pbrfit.synthetic import make_scene
@@ -142,18 +141,6 @@ def test_sides_without_light(good: Result) -> None:
     assert next_steps(replace(good, lighting=one)) == ()  # all is usable: it was enough
 
 
-def test_lamps_count_for_sides_as_other_light_does(good: Result) -> None:
-    bad = uncertainty(good, {"albedo": 0.01, "roughness": 0.3, "metallic": 0.01})
-    left = np.tile([-0.6, 0.0, 0.8], (4, 1))
-    lamps = Lamps(pictures=np.arange(4), places=left, colors=np.ones((4, 3)))
-    dark = np.zeros_like(good.lighting)
-    [step] = next_steps(replace(good, uncertainty=bad, lighting=dark, lamps=lamps))
-    assert step == (
-        "light from one side, the left, in all pictures: pictures lit from the right would help "
-        "roughness"
-    )
-
-
 @pytest.mark.parametrize(("black", "told"), [(6, False), (7, True)])
 def test_black_pixels_ask_for_a_mask(good: Result, black: int, told: bool) -> None:
     assert 6 / 64 < advice.BLACK_SHARE < 7 / 64
@@ -168,21 +155,6 @@ def test_black_pixels_ask_for_a_mask(good: Result, black: int, told: bool) -> No
     mask = np.ones((8, 8), bool)
     mask[-1, -1] = False
     assert next_steps(replace(dark, mask=mask)) == ()
-
-
-@pytest.mark.parametrize(
-    ("direction", "sides"),
-    [
-        ((-1, 0, 0.5), ("the left", "the right")),
-        ((-1, 1, 1), ("the upper left", "the lower right")),
-        ((0, 1, 1), ("above", "below")),
-        ((0, 0, 1), ("the camera", "the sides")),
-        ((0.1, 0, -1), ("behind", "the camera's side")),
-    ],
-)
-def test_sides_in_words(direction: Any, sides: tuple[str, str]) -> None:
-    unit = np.array(direction) / np.linalg.norm(direction)
-    assert one_side(main_directions(lights([unit] * 3))) == sides
 
 
 def test_one_side_and_unlit_ones_at_their_thresholds() -> None:

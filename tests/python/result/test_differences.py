@@ -3,41 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from pbrfit.result.differences import (
-    OUTSIDE,
-    PALETTE,
-    SCALE,
-    STEPS,
-    TICKS,
-    VERMILLION,
     WHITE,
-    Difference,
-    on_scale,
     residual,
 )
-
-
-def test_the_scale_is_logarithmic_and_ends_where_it_says() -> None:
-    low, high = SCALE
-    assert on_scale(low) == 0.0
-    assert on_scale(high) == 1.0
-    assert on_scale(np.sqrt(low * high)) == pytest.approx(0.5)
-    np.testing.assert_array_equal(on_scale(np.array([0.0, 7.0])), [0.0, 1.0])
-    assert min(TICKS) == low
-    assert max(TICKS) == high
-
-
-def test_colours_of_values_of_marks_and_of_what_is_outside() -> None:
-    values = np.array([[0.0, 0.001, 1.0, np.nan], [0.5, 0.5, np.nan, 2.0]])
-    white, vermillion = np.zeros((2, *values.shape), bool)
-    white[1, 0] = vermillion[1, 1] = True
-    vermillion[1, 2] = True  # outside all the same
-    found = Difference(values, white, vermillion).indices()
-    assert found.tolist() == [[0, 0, STEPS - 1, OUTSIDE], [WHITE, VERMILLION, OUTSIDE, STEPS - 1]]
-    assert PALETTE[WHITE].tolist() == [1.0, 1.0, 1.0]
-    assert len(PALETTE) == OUTSIDE + 1
 
 
 def test_samples_without_weight_are_white_and_do_not_count_in_the_rms() -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from left_out_pictures import DECISION, EXCUSE, EXPLAINED, LAMP, SENTENCE, UNEXPLAINED
+from left_out_pictures import EXCUSE, EXPLAINED, SENTENCE, UNEXPLAINED
 from pbrfit import InputError, Result, decompose
 from pbrfit.io.json_files import UNFIT, read_as
 from pbrfit.result.held_out import HeldOut
@@ -56,18 +56,6 @@ def test_errors_have_few_digits(error: float, words: str) -> None:
 def test_what_is_exact_is_within_the_least_that_is_told() -> None:
     for error in (0.0, 1e-9):
         assert "to within 0.001 % (the" in replace(EXPLAINED, error=error).in_words()
-
-
-def test_what_came_second_is_the_best_of_those_that_were_not_chosen() -> None:
-    first, lamp, last = EXPLAINED.candidates
-    assert EXPLAINED.decision() == DECISION
-    assert replace(EXPLAINED, candidates=(lamp, last)).decision() == (
-        f"chosen: {LAMP}; second: {last.what}, 12 %"
-    )
-    assert replace(EXPLAINED, chosen=first.what).decision() == (
-        f"chosen: {first.what}; second: {LAMP}, 3.9 %"
-    )
-    assert replace(EXPLAINED, candidates=(lamp,)).decision() == f"chosen: {LAMP}"
 
 
 WRONG: list[dict[str, Any]] = [

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import OpenEXR
 import pytest
 
 from pbrfit import DirectionalLight, InputError, Result, relight
@@ -46,26 +45,6 @@ def test_lamps_and_height_are_kept(result: Result, tmp_path: Path) -> None:
         if name != "result.json":
             again = (tmp_path / "again" / name).read_bytes()
             assert again == (tmp_path / "out" / name).read_bytes(), name
-
-
-def test_height_as_another_reader_sees_it(result: Result, tmp_path: Path) -> None:
-    result.save(tmp_path / "out")
-    file = OpenEXR.File(str(tmp_path / "out" / "height.exr"), separate_channels=True)
-    layers = {name: channel.pixels for name, channel in file.parts[0].channels.items()}
-    assert set(layers) == {"Y", "mask.Y"}
-    np.testing.assert_array_equal(layers["mask.Y"] == 1, result.mask)
-    assert np.isfinite(layers["Y"]).all()
-
-
-def test_a_result_without_lamps_or_height_says_nothing_of_them(tmp_path: Path) -> None:
-    plain = dataclasses.replace(ball_under_lamps(), lamps=None, height=None)
-    plain.save(tmp_path / "out")
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == FILES
-    light = json.loads((tmp_path / "out" / "lighting.json").read_text("utf-8"))
-    assert list(light) == ["basis", "order", "pictures", "coefficients"]
-    found = Result.load(tmp_path / "out")
-    assert found.lamps is None
-    assert found.height is None
 
 
 def test_a_missing_or_other_height_is_told(result: Result, tmp_path: Path) -> None:
@@ -139,16 +118,6 @@ def test_surroundings_cast_shadows_of_lamps() -> None:
     differing = np.abs(relight(ball, near) - expected).max(axis=-1) > 1e-2
     assert differing.mean() < 0.005
     assert not np.allclose(relight(ball, far, shadows=False), expected)
-
-
-def test_a_near_lamp_before_the_surface_is_in_no_shadow_of_what_is_behind_it() -> None:
-    ball = shaded_ball()
-    scenery = known(ball.scenery)
-    middle = np.nanmedian(scenery.points.reshape(-1, 3), axis=0)
-    # Half way between the camera and the surface: all that the camera sees is open to it or nearly.
-    assert scenery.open_to(np.zeros(3), near=True).mean() > 0.9
-    # Below the floor nothing is.
-    assert scenery.open_to(middle - (0, 100, 0), near=True).mean() < 0.1
 
 
 def test_ambient_light_among_surroundings_stays(result: Result) -> None:

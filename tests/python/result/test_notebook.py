@@ -79,15 +79,6 @@ def test_a_notebook_says_how_left_out_pictures_are_explained(result: Result) -> 
         assert (SENTENCE in text) == ("not fitted to" in text) == (held_out is not None)
 
 
-def test_maps_are_small_pictures_that_are_clear_outside_the_mask(result: Result) -> None:
-    codes = np.asarray(notebook(result).picture("roughness"))
-    assert codes.shape == (8, 12, 4)
-    assert not codes[:, :2, 3].any()
-    assert (codes[:, 2:, 3] == 255).all()
-    expected = np.rint(255 * result.roughness[:, 2:])
-    np.testing.assert_array_equal(codes[:, 2:, 0], expected)
-
-
 def test_a_notebook_shows_a_scene_in_small(scene: Scene) -> None:
     bright = np.repeat(np.repeat(scene.images, 40, axis=1), 40, axis=2)
     mask = np.repeat(np.repeat(scene.valid, 40, axis=0), 40, axis=1)

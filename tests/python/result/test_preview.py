@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import math
 
 import numpy as np
 import pytest
 
 from pbrfit import Result, Scene, decompose
 from pbrfit.result import differences
-from pbrfit.result.preview import _histogram, contact_sheet, preview
-from pbrfit.result.sheet import FONT, MARGIN, PANEL_SIDE, Panel, Row, sheet
-from pbrfit.result.verdict import LEVELS, MARKS, PARAMETERS, Verdict
+from pbrfit.result.preview import contact_sheet, preview
+from pbrfit.result.sheet import FONT, MARGIN, PANEL_SIDE
+from pbrfit.result.verdict import LEVELS, PARAMETERS, Verdict
 from pbrfit.synthetic import make_scene
-from refined import degrees_of, refined
 from scene_files import known
 
 LINE = round(1.6 * FONT[0])
@@ -60,19 +58,6 @@ def test_a_preview_of_any_shape_of_picture(height: int, width: int) -> None:
     assert found.shape[1:] == (2 * (PANEL_SIDE[0] + MARGIN) + MARGIN, 3)
 
 
-def test_a_histogram_shows_how_often_values_occur() -> None:
-    """Three quarters of red at the middle and the rest at its end; masked pixels do not count."""
-    values = np.zeros((8, 64, 3))
-    values[:, :, 0] = np.where(np.arange(64) < 48, 0.5, 1.0)
-    values[4:, :] = 0.3
-    inside = np.zeros((8, 64), bool)
-    inside[:4] = True
-    red = _histogram(values, inside)[..., 1] < 1  # red areas have less of the other channels
-    assert red[:, 32].all()
-    assert red[:, 63].sum() == round(8 / 3) - 1
-    assert not red[:, 1:32].any()
-
-
 def test_a_preview_is_of_the_box_around_the_mask() -> None:
     scene, result = whole()
     mask = np.arange(24)[:, None] // 4 == np.full(24, 2)  # rows 8 to 11
@@ -81,46 +66,12 @@ def test_a_preview_is_of_the_box_around_the_mask() -> None:
     assert preview(result, scene).shape[0] - flat.shape[0] == pytest.approx(rows * panels, abs=rows)
 
 
-@pytest.mark.slow
-def test_samples_without_weight_may_be_anything_and_do_not_set_the_exposure() -> None:
-    scene = part(24, 24)
-    weights = np.ones((2, 24, 24))
-    weights[0, :8] = 0
-    previews = []
-    for value in (0.0, 1e6, np.inf, np.nan):
-        images = scene.images.copy()
-        images[0, :8] = value
-        changed = dataclasses.replace(scene, images=images, weights=weights)
-        previews.append(preview(decompose(changed, iterations=1, uncertainty=False), changed))
-        assert np.isfinite(contact_sheet(changed)).all()  # and no warning
-    for found in previews[1:]:
-        rows, columns = np.nonzero((found != previews[0]).any(axis=-1))
-        # Only the samples themselves, which are in the first panel, look different.
-        assert len(rows) > 0
-        assert np.ptp(rows) < PANEL_SIDE[0] / 3
-        assert np.ptp(columns) < PANEL_SIDE[0]
-
-
 def with_verdicts(result: Result, cause: str) -> Result:
     """A result whose maps have all levels."""
     levels = zip(PARAMETERS, LEVELS, strict=True)
     verdicts = {name: Verdict(level, 0.1, cause) for name, level in levels}
     uncertainty = dataclasses.replace(known(result.uncertainty), verdicts=verdicts)
     return dataclasses.replace(result, uncertainty=uncertainty)
-
-
-def test_a_mark_tells_levels_apart_without_its_colour() -> None:
-    shares = []
-    for level in LEVELS:
-        grey = np.full((24, 24, 3), 0.5)
-        row: Row = [Panel("", grey, "word", mark=MARKS[level])]
-        below = sheet([row])[PANEL_SIDE[0] + MARGIN + 4 :]
-        disc = below[: FONT[0], MARGIN : MARGIN + round(0.8 * FONT[0])]
-        shares.append((disc.min(axis=-1) < 128).mean())
-    full, half, ring = shares
-    assert full > half + 0.15
-    assert half > ring + 0.15
-    assert ring > 0.1
 
 
 def test_truth_with_its_errors_and_uncertainty_add_rows() -> None:
@@ -135,48 +86,6 @@ def test_truth_with_its_errors_and_uncertainty_add_rows() -> None:
     # Why a map is no better stands below it, in as many lines as it needs.
     explained = preview(with_verdicts(result, "few lights, all of them from one side"), scene)
     assert explained.shape[0] - height in (note, 2 * note)
-
-
-def test_refined_normals_add_a_row_and_a_key() -> None:
-    scene, result = whole()
-    found, without = preview(refined(result), scene), preview(result, scene)
-    row = PANEL_SIDE[0] + LINE + MARGIN
-    assert row + LINE < found.shape[0] - without.shape[0] < row + 6 * LINE
-    assert preview(refined(result)).shape[0] == found.shape[0] - (
-        without.shape[0] - preview(result).shape[0]
-    )
-
-
-def test_the_change_of_normals_is_white_where_they_are_as_given() -> None:
-    result = refined(whole()[1])
-    indices = differences.turned(known(result.normal_change)).indices()
-    unchanged = degrees_of(result.mask) == 0
-    np.testing.assert_array_equal(indices == differences.WHITE, unchanged)
-    # The same place on the scale as a difference of that many radians.
-    radians = np.radians(degrees_of(result.mask))
-    expected = differences.Difference(radians).indices()
-    np.testing.assert_array_equal(indices[~unchanged], expected[~unchanged])
-    ticks = differences.tick_places(degrees=True)
-    assert list(ticks) == sorted(ticks)
-    [ten] = [place for place, label in ticks.items() if label == "10°"]
-    assert ten == pytest.approx(float(differences.on_scale(math.pi / 18)))
-
-
-def test_panels_lie_where_they_should_and_large_ones_are_averaged() -> None:
-    red, blue = np.zeros((2, 24, 24, 3))
-    red[..., 0] = blue[..., 2] = 1.0
-    rows: list[Row] = [[Panel("red", red), None], [None, Panel("blue", blue)]]
-    made = sheet(rows)
-    step, down = PANEL_SIDE[0] + MARGIN, PANEL_SIDE[0] + LINE + MARGIN
-    center = MARGIN + PANEL_SIDE[0] // 2
-    assert tuple(made[center + LINE, center]) == (255, 0, 0)
-    assert tuple(made[center + LINE + down, center + step]) == (0, 0, 255)
-    assert tuple(made[center + LINE, center + step]) == (255, 255, 255)
-    stripes = np.zeros((1536, 1536, 3))
-    stripes[::2] = 1.0
-    made = sheet([[Panel("stripes", stripes)]])
-    assert made.shape[1] == PANEL_SIDE[1] + 2 * MARGIN
-    assert abs(int(made[200, 200, 0]) - 128) <= 1
 
 
 def test_normals_that_face_away_are_orange_and_masked_pixels_grey() -> None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +14,7 @@ from pbrfit import DirectionalLight, Environment, InputError, PointLight, Result
 from pbrfit.model import panorama
 from pbrfit.result.relighting import turned
 from relit import ball, fitted, shaded_ball, side_lit
-from scene_files import known, room, write_hdr
+from scene_files import known, room
 
 Array = NDArray[np.floating[Any]]
 
@@ -148,31 +146,6 @@ def test_the_light_of_a_picture_gives_its_reconstruction(result: Result) -> None
         with pytest.raises(InputError, match=r"^(light|picture): expected "):
             result.relight(**wrong)
     assert result.verdicts == known(result.uncertainty).verdicts
-
-
-def test_the_file_of_a_panorama_is_a_light(sphere: Result, tmp_path: Path) -> None:
-    write_hdr(tmp_path / "sky.hdr", spot(0.5, 0.3))
-    read = Environment.read(tmp_path / "sky.hdr")
-    np.testing.assert_array_equal(relight(sphere, tmp_path / "sky.hdr"), relight(sphere, read))
-
-
-def test_outside_the_mask_there_is_no_number(sphere: Result) -> None:
-    for light in (DirectionalLight(10, 20), sphere.lighting[0]):
-        picture = relight(sphere, light)
-        assert np.isfinite(picture[sphere.mask]).all()
-        assert np.isnan(picture[~sphere.mask]).all()
-
-
-def test_turning_adds_to_the_azimuth() -> None:
-    lamp = DirectionalLight(30, 40, (1.0, 0.5, 0.2))
-    assert turned(lamp, 75) == dataclasses.replace(lamp, azimuth=105.0)
-    with pytest.raises(InputError, match="degrees: expected a finite number"):
-        turned(lamp, math.inf)
-
-
-def test_lights_of_another_shape_are_refused(sphere: Result) -> None:
-    with pytest.raises(InputError, match=r"^lighting: expected shape .*16, 3\), found \(9, 3\)"):
-        relight(sphere, np.zeros((9, 3)))
 
 
 def test_a_soft_lamp_lets_light_go_out_softly(sphere: Result) -> None:

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import OpenEXR
 import pytest
-from PIL import Image
 
 from pbrfit import InputError, Result, Scene, Status, decompose
 from pbrfit.model.reflection import DEFAULT_MODEL
@@ -233,15 +232,6 @@ def test_broken_folders_are_refused_in_one_line(result: Result, tmp_path: Path, 
     with pytest.raises((InputError, OSError), match=message) as caught:
         Result.load(tmp_path / "out")
     assert "\n" not in str(caught.value)
-
-
-def test_preview_is_an_8_bit_srgb_png(result: Result, tmp_path: Path) -> None:
-    result.save(tmp_path / "out", scene=masked_scene(truth=True))
-    with Image.open(tmp_path / "out" / "preview.png") as picture:
-        assert picture.mode == "RGB"
-        assert "srgb" in picture.info
-        assert picture.width > 4 * 192  # maps and normals
-        assert picture.height > 5 * 192  # pictures, maps, truth, error, deviation
 
 
 def test_where_the_scene_was_is_told_from_the_result_folder(tmp_path: Path) -> None:

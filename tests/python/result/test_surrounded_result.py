@@ -14,15 +14,13 @@ from pbrfit import DirectionalLight, InputError, Result, Scene, decompose, relig
 from pbrfit.batch.scenes import details
 from pbrfit.fit import compare, settings
 from pbrfit.fit import transport as fit_transport
-from pbrfit.model.reflection import MODELS, Model
 from pbrfit.report.inspection import facts
 from pbrfit.result.data import SEGMENT_MAX, storable_segments
-from pbrfit.transport import scenery
-from pbrfit.transport.decision import Kind, Transport
+from pbrfit.transport.decision import Transport
 from pbrfit.transport.scenery import Scenery
-from relit import even, fitted, shaded_ball
+from relit import even, shaded_ball
 from scene_files import known
-from small_worlds import ball_on_floor, box_room
+from small_worlds import box_room
 
 FEW: dict[str, Any] = {"iterations": 2, "uncertainty": False, "equal_exposures": False}
 
@@ -110,15 +108,6 @@ def test_the_decision_is_kept(
     assert not any(line.startswith("surroundings") for line in loaded.left_out)
 
 
-def test_a_result_without_depth_says_that_nothing_was_done() -> None:
-    result = fitted()
-    assert result.transport == Transport()
-    assert result.scenery is None
-    assert "surroundings: no depth is given" in result.left_out
-    with_it, without = (relight(result, result.lighting[0], shadows=one) for one in (True, False))
-    np.testing.assert_array_equal(with_it, without)
-
-
 def test_relit_by_its_lights_the_pictures_come_back(
     made: tuple[Scene, Result, list[Scenery]], loaded: Result
 ) -> None:
@@ -158,40 +147,6 @@ def test_a_ball_throws_its_shadow_away_from_a_lamp() -> None:
     np.testing.assert_array_equal(lit[open_floor], bare[open_floor])
 
 
-@pytest.mark.parametrize("model", MODELS)
-def test_the_sky_is_dimmed_where_things_stand(model: Model) -> None:
-    """Under even light all is as bright as it sees sky; the nearer to the ball, the less."""
-    result = dataclasses.replace(shaded_ball(), model=model)
-    even_light = np.zeros((16, 3))
-    even_light[0] = 2 * np.sqrt(np.pi)
-    lit, bare = relight(result, even_light), relight(result, even_light, shadows=False)
-    floor = known(result.segments) == 1
-    ratio = (lit / bare)[..., 1]
-    assert np.nanmax(ratio[floor]) > 0.97
-    assert np.nanmin(ratio[floor]) < 0.8
-    seen = ball_on_floor()
-    world = seen.points @ seen.turn.T + seen.eye
-    away = np.hypot(world[..., 0], world[..., 2] + 2.0)  # from where the ball stands
-    rings = [floor & (np.abs(away - radius) < 0.08) for radius in (0.4, 0.6, 0.8, 1.1)]
-    by_distance = [float(np.median(ratio[ring])) for ring in rings]
-    assert by_distance == sorted(by_distance)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("model", MODELS)
-def test_what_surfaces_bring_makes_pictures_brighter(model: Model) -> None:
-    result = dataclasses.replace(shaded_ball(), model=model)
-    light = np.zeros((16, 3))
-    light[0] = 2 * np.sqrt(np.pi)
-    light[1] = 1.0
-    blocked = relight(result, light)
-    bounced = relight(
-        dataclasses.replace(result, transport=Transport("bounce", "asked for")), light
-    )
-    assert (bounced[result.mask] >= blocked[result.mask] - 1e-5).all()
-    assert np.nanmean(bounced) > 1.01 * np.nanmean(blocked)
-
-
 def test_ids_too_large_for_float32_are_counted_anew() -> None:
     small = np.array([[0, 7, 9]])
     np.testing.assert_array_equal(storable_segments(small), small)
@@ -200,17 +155,6 @@ def test_ids_too_large_for_float32_are_counted_anew() -> None:
     large = np.array([[7, SEGMENT_MAX + 1, 0, -3]])
     np.testing.assert_array_equal(storable_segments(large), [[1, 2, 0, -1]])
     np.testing.assert_array_equal(storable_segments(large[:, :2]), [[1, 2]])
-
-
-@pytest.mark.parametrize("kind", ["occlusion", pytest.param("bounce", marks=pytest.mark.slow)])
-def test_pieces_of_a_picture_give_equal_light(kind: Kind, monkeypatch: pytest.MonkeyPatch) -> None:
-    of = dataclasses.replace(shaded_ball(), transport=Transport(kind, "asked for"))
-    whole = relight(of, of.lighting[0])
-    monkeypatch.setattr(scenery, "PIECE", 500)
-    pieces = relight(dataclasses.replace(of), of.lighting[0])
-    # Rows of the model under reflected light are from fewer rays where there are pieces.
-    atol = 0 if kind == "occlusion" else 0.05 * float(np.nanmax(whole))
-    np.testing.assert_allclose(pieces, whole, rtol=0, atol=atol)
 
 
 def test_what_was_decided_is_said_and_what_was_found_before(

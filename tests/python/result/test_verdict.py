@@ -19,7 +19,6 @@ from pbrfit.commands.terminal import verdict_lines
 from pbrfit.fit import compare
 from pbrfit.io.json_files import read_as
 from pbrfit.report import write_report
-from pbrfit.report.verdict import how_to_read
 from pbrfit.result import preview, verdict
 from pbrfit.result.advice import of_verdicts
 from pbrfit.result.sheet import Panel, Row, sheet
@@ -76,23 +75,6 @@ def test_errors_may_be_off_by_the_margin(name: str) -> None:
     assert verdict.deserved(name, 1.001 * verdict.MARGIN * usable) == "rough guide"
     assert verdict.deserved(name, 0.999 * rough / verdict.MARGIN) == "rough guide"
     assert verdict.deserved(name, 1.001 * rough / verdict.MARGIN) == "not determined"
-
-
-def test_pixels_outside_the_mask_have_no_level_and_no_error() -> None:
-    deviation = deviating(0.05)
-    for values in (deviation.albedo, deviation.roughness, deviation.metallic):
-        values[0, 0] = np.nan
-    assert all(of[0, 0] == 255 for of in verdict.levels(deviation).values())
-    assert all(
-        error == pytest.approx(0.05) for error in verdict.expected_errors(deviation).values()
-    )
-
-
-@pytest.mark.parametrize("name", PARAMETERS)
-def test_one_usable_map_is_something(name: str) -> None:
-    none = {one: Verdict("rough guide", 0.12) for one in PARAMETERS}
-    assert verdict.nothing_usable(none)
-    assert not verdict.nothing_usable(none | {name: Verdict("usable", 0.1)})
 
 
 def test_no_map_is_usable_where_left_out_pictures_are_not_explained() -> None:
@@ -196,13 +178,3 @@ def test_one_verdict_everywhere(
             assert f"{words[0].upper()}{words[1:]}." in chip.text
         assert one.expected_error in page.values
     assert verdict.thresholds()[1:] in page.text
-
-
-def test_causes_are_not_spoken_of_where_there_are_none(result: Result, tmp_path: Path) -> None:
-    good = {name: Verdict("usable", 0.01) for name in PARAMETERS}
-    uncertainty = dataclasses.replace(known(result.uncertainty), verdicts=good)
-    of_good = dataclasses.replace(result, uncertainty=uncertainty)
-    _, chips = chips_of(of_good, tmp_path / "page.html")
-    for name, chip in zip(PARAMETERS, chips, strict=True):
-        assert chip.text.startswith(f"{name}: usableExpected error of {name}: ± 0.01")
-        assert chip.text.endswith(f"{how_to_read()}")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from pbrfit import Scene
 from pbrfit.scene.correction import DARKEST, Correction
@@ -60,14 +59,6 @@ def test_directions_are_derivatives() -> None:
         np.testing.assert_allclose((sides[0] - sides[1]) / (2 * step), direction, atol=1e-5)
     more, less = (shown(correction, radiance * (1 + by)) for by in (step, -step))
     np.testing.assert_allclose((more - less) / (2 * step * radiance), slope, rtol=1e-3)
-
-
-@pytest.mark.parametrize("index", range(3))
-@pytest.mark.parametrize("value", [-5.0, 5.0])
-def test_curves_stay_monotone(index: int, value: float) -> None:
-    correction = Correction(1.0, NUMBERS).changed(index, value)
-    samples = np.exp(np.linspace(-8, 8, 200))[:, None]
-    assert (np.diff(correction.applied(samples), axis=0) > 0).all()
 
 
 def test_a_scene_shows_corrected_samples() -> None:

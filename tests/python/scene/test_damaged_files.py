@@ -19,9 +19,7 @@ import tifffile
 from PIL import Image, ImageCms
 
 from fuzz.damage import png_of
-from fuzz.task import TASK, work
 from pbrfit import InputError, Result, Scene, decompose
-from pbrfit.acquire import journal
 from pbrfit.acquire.prompts import read_prompts
 from pbrfit.io import images
 from pbrfit.io.images import read_stored
@@ -32,7 +30,6 @@ from pbrfit.model.materials import read_materials
 from pbrfit.result.history import History
 from pbrfit.scene import folder as scene_folder
 from pbrfit.synthetic import make_scene
-from pbrfit_evaluation import jobs
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 DEEP = "[" * 100_000
@@ -148,20 +145,6 @@ def test_a_text_longer_than_its_file_is_refused(tmp_path: Path, big: bool) -> No
     data[at : at + 4] = struct.pack("<I", 2**32 - 1)
     path.write_bytes(data)
     refused(images.read_data, path, "a text longer than the file")
-
-
-def test_tiles_that_are_far_larger_than_the_picture_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "a.exr"
-    tiles = OpenEXR.TileDescription()
-    tiles.xSize = tiles.ySize = 16
-    header = {"type": OpenEXR.tiledimage, "tiles": tiles}
-    OpenEXR.File(header, {"Y": np.ones((8, 8), np.float32)}).write(str(path))
-    data = path.read_bytes()
-    at = data.index(b"tiledesc\0") + 9 + 4
-    path.write_bytes(data[:at] + struct.pack("<2I", 1 << 20, 16) + data[at + 8 :])
-    refused(images.read_channels, path, "tiles of 16777216 pixels")
-    path.write_bytes(data[:at] + struct.pack("<2I", 2048, 2048) + data[at + 8 :])
-    assert images.read_channels(path)["Y"].shape == (8, 8)
 
 
 def test_a_curve_beyond_all_light_is_refused(tmp_path: Path) -> None:
@@ -382,25 +365,6 @@ def test_depths_beyond_all_measure_are_not_hit() -> None:
     assert np.isfinite(normals).all()
     assert not known[2, 2]
     assert known[0, 0]
-
-
-def test_a_journal_that_somebody_damaged_is_refused(tmp_path: Path) -> None:
-    entry = {"about": {}, "refused": "", "record": {}, "sha256": None,
-             "request": {"name": [], "prompt": "", "negative": "", "seed": 1}}  # fmt: skip
-    path = tmp_path / "a-1.json"
-    half = json.dumps(entry).replace("[]", r'"\ud800"')  # of a pair, which no file's name has
-    for text in (json.dumps(entry), half, DEEP, "\ufeff"):
-        path.write_text(text, encoding="utf-8")
-        refused(lambda path: journal.names(path.parent), path, "entry of a generation journal")
-
-
-@pytest.mark.parametrize("text", [DEEP, '{"digest": []}', "{", "[]", "\0"])
-def test_a_damaged_record_is_made_again(tmp_path: Path, text: str) -> None:
-    first = jobs.run([TASK], work, tmp_path)
-    (tmp_path / "records" / "task.json").write_text(text)
-    again = jobs.run([TASK], work, tmp_path)
-    assert first[0].values is not None
-    assert again[0].values == first[0].values
 
 
 @pytest.mark.slow

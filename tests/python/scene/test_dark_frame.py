@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 import pbrfit
 from command_runs import done
 from pbrfit import InputError, Scene
-from pbrfit.io import images
-from pbrfit.io.limits import AT_LEAST
 from pbrfit.scene import folder as scene_folder
-from scene_files import FORMATS, SIZE, known, room, write_exr, write_folder, write_integers
+from scene_files import FORMATS, SIZE, room, write_exr, write_folder, write_integers
 
 LEVEL = 0.02
 
@@ -65,38 +63,6 @@ def test_noise_below_it_stays_negative_and_can_be_fitted(tmp_path: Path) -> None
     result = pbrfit.decompose(scene, iterations=3, refine_normals="off")
     assert np.isfinite(result.metrics["recon_rmse"])
     assert "dark frame" in result.assumed
-
-
-def test_it_is_averaged_down_with_the_pictures(tmp_path: Path) -> None:
-    folder = glowing(tmp_path / "scene")
-    write_exr(folder / "dark.exr", glow())
-    half = room().images.reshape(3, SIZE // 2, 2, SIZE // 2, 2, 3).mean(axis=(2, 4))
-    scene = Scene.load(folder, max_size=SIZE // 2)
-    np.testing.assert_allclose(scene.images, 0.9 * half, rtol=0, atol=1e-6)
-
-
-def test_pixels_that_are_clipped_in_it_are_left_out(tmp_path: Path) -> None:
-    folder = write_folder(tmp_path / "scene", "8-bit PNG")
-    hot = np.zeros((SIZE, SIZE, 3))
-    hot[3, 4, 1] = 1.0
-    write_integers(folder / "dark.png", hot)
-    scene = Scene.load(folder)
-    assert np.argwhere(~scene.valid).tolist() == [[3, 4]]
-    assert scene.assumed["dark frame"].endswith("; 1 pixels clipped in it left out")
-
-
-@pytest.mark.parametrize("clipped", [False, True])
-def test_a_plateau_of_the_files_is_still_found(tmp_path: Path, clipped: bool) -> None:
-    """After the subtraction no two clipped samples are equal any more."""
-    folder = glowing(tmp_path / "scene")
-    write_exr(folder / "dark.exr", glow())
-    top = np.quantile(0.9 * room().images + glow(), 0.7) if clipped else np.inf
-    for path in (folder / "images").iterdir():
-        stored = images.read_picture(path).pixels
-        write_exr(path, np.minimum(stored, np.float32(top)))
-    scene = Scene.load(folder)
-    assert (known(scene.limits) == AT_LEAST).any() == clipped
-    assert ("exposure" in scene.assumed) == clipped
 
 
 def spoil(folder: Path, how: str) -> Any:

@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 
 from command_runs import done
 from pbrfit import InputError, Scene
-from pbrfit.fit.tiles.windows import Window, cut
 from pbrfit.io import images
 from pbrfit.model import geometry
 from pbrfit.report import inspection
 from pbrfit.scene import folder as scene_folder
-from pbrfit.scene.depth import compared, reduced
+from pbrfit.scene.depth import reduced
 from scene_files import known, world
 
 SIZE = 48
@@ -95,17 +94,6 @@ def test_inverse_depth_is_told_from_depth_despite_wrong_normals_and_noise() -> N
         scene(1 / noisy, off)
 
 
-def test_without_perspective_inverse_depth_is_refused_too() -> None:
-    angle = np.radians(30)
-    x = (2 * np.arange(SIZE) + 1 - SIZE) / SIZE
-    depth = np.broadcast_to(4 + x * np.tan(angle), (SIZE, SIZE))
-    normals = np.broadcast_to([np.sin(angle), 0, np.cos(angle)], (SIZE, SIZE, 3))
-    made = scene(depth, normals, fov=0)
-    assert compared(known(made.depth), made.normals, 0)[0] < 0.01
-    with pytest.raises(InputError, match="found inverse depth"):
-        scene(1 / depth, normals, fov=0)
-
-
 @pytest.mark.parametrize(("tilt", "refused"), [(3.0, False), (9.0, True)])
 def test_the_tilt_from_which_inverse_depth_can_be_told(tilt: float, refused: bool) -> None:
     # The axis of a narrow view: the inverse misses by twice the tilt, 6 or 18 degrees.
@@ -130,16 +118,6 @@ def test_depth_that_contradicts_the_normals_either_way_is_told(
     with caplog.at_level(logging.WARNING, "pbrfit"):
         scene(depth, tilted(90 - 50)[1])  # 10 degrees off
     assert "contradict" not in caplog.text
-
-
-@pytest.mark.parametrize(
-    ("side", "error"), [(30, 1e-6), (20, 1e-6), (15, 1e-6), (24, 3e-3), (13, 3e-3)]
-)
-def test_a_plane_averaged_down_is_the_plane(side: int, error: float) -> None:
-    # Where new pixels cut old ones, the middle of the parts is a little off their own.
-    depth, _ = tilted(40, size=60)
-    expected, _ = tilted(40, size=side)
-    np.testing.assert_allclose(reduced(depth, (side, side)), expected, rtol=error)
 
 
 def test_nothing_is_averaged_across_a_jump() -> None:
@@ -196,24 +174,6 @@ def test_files_with_unusable_depth_are_named(tmp_path: Path) -> None:
     images.write_exr(folder / "depth.exr", {"Z": 1 / made.depth})
     with pytest.raises(InputError, match=r"scene: depth: expected distances, found inverse depth"):
         Scene.load(folder)
-
-
-def test_depth_follows_a_smaller_size(tmp_path: Path) -> None:
-    folder, made = saved(tmp_path / "scene")
-    read = Scene.load(folder, max_size=48)
-    np.testing.assert_array_equal(known(read.depth), reduced(known(made.depth), (48, 48)))
-    # Still the depth of the surfaces that the averaged normals are of.
-    assert compared(known(read.depth), read.normals, FOV)[0] < 1
-
-
-def test_a_part_of_a_scene_has_its_part_of_the_depth() -> None:
-    depth, normals = furnished()
-    whole = scene(depth, normals)
-    for rows in (slice(10, 40), slice(1, None, 3)):
-        window = Window(rows, slice(5, 90, 1))
-        part = cut(whole, window)
-        np.testing.assert_array_equal(part.depth, window.of(known(whole.depth)))
-    assert cut(scene(None, normals), window).depth is None
 
 
 def test_inspect_tells_what_the_depth_is_like(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 import pbrfit
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.settings import MEAN_RADIANCE
-from pbrfit.scene.exposure import EXPOSURE_RANGE, LEAST_EXPOSURE, mean_radiance, relative_exposures
+from pbrfit.scene.exposure import EXPOSURE_RANGE, mean_radiance, relative_exposures
 from pbrfit.synthetic import make_scene
 from scene_files import known, lights_of, truth_of
 
@@ -42,19 +42,6 @@ def brighter(scene: pbrfit.Scene, picture: int, factor: float) -> pbrfit.Scene:
     return dataclasses.replace(scene, images=images, truth=truth)
 
 
-def test_means_are_of_valid_samples_by_their_weight() -> None:
-    rng = np.random.default_rng(0)
-    weights = rng.uniform(0, 1, (N, SIZE, SIZE)).astype(np.float32)
-    weights[:, 3] = 0
-    scene = dataclasses.replace(made(), weights=weights)
-    broken = scene.images.copy()
-    broken[:, 3] = np.nan
-    scene = dataclasses.replace(scene, images=broken)
-    total = np.nansum(weights[..., None].astype(np.float64) * broken, axis=(1, 2, 3))
-    expected = total / (3 * weights.sum(axis=(1, 2), dtype=np.float64))
-    np.testing.assert_allclose(mean_radiance(scene), expected, rtol=1e-12)
-
-
 def test_exposures_are_evened_out_beyond_the_range() -> None:
     scene = made()
     below, above = (np.array([1, 2, 3, 2, EXPOSURE_RANGE * f]) for f in (0.999, 1.001))
@@ -64,18 +51,6 @@ def test_exposures_are_evened_out_beyond_the_range() -> None:
     asked = relative_exposures(with_means(scene, below), equal=True)
     assert asked == pytest.approx(below / below.mean(), rel=1e-12)
     assert relative_exposures(with_means(scene, above), equal=False) is None
-
-
-def test_a_black_picture_is_not_divided_by_zero() -> None:
-    found = relative_exposures(with_means(made(), np.array([1, 1, 0, 1, 1])))
-    assert found == pytest.approx(np.array([1.25, 1.25, LEAST_EXPOSURE, 1.25, 1.25]))
-
-
-def test_pictures_of_no_light_are_left_to_the_objective() -> None:
-    scene = dataclasses.replace(made(), images=np.zeros((N, SIZE, SIZE, 3)), truth=None)
-    assert relative_exposures(scene, equal=True) is None
-    with pytest.raises(pbrfit.InputError, match="images: expected a positive mean radiance"):
-        Objective(scene, equal_exposures=True)
 
 
 def test_the_loss_is_that_of_inverse_square_weights() -> None:

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from pbrfit import InputError, Scene
-from pbrfit.io.images import write_exr
 from pbrfit.model.lamps import Lamps
 from pbrfit.registration.placement import Placement, Registration, put_back
 from pbrfit.report import inspection
@@ -128,28 +127,10 @@ def test_three_pictures_need_no_normals(folder: Path, caplog: pytest.LogCaptureF
     assert room().normals_known
 
 
-def test_a_scene_without_normals_is_saved_without(folder: Path, tmp_path: Path) -> None:
-    (folder / "normals.exr").unlink()
-    Scene.load(folder).save(tmp_path / "saved")
-    assert not (tmp_path / "saved" / "normals.exr").exists()
-    assert not Scene.load(tmp_path / "saved").normals_known
-
-
 def test_arrays_without_normals() -> None:
     assert not Scene(images=room().images).normals_known
     with pytest.raises(InputError, match=r"normals: expected unit vectors, found none; 3 or more"):
         Scene(images=room().images[:2])
-
-
-def test_depth_is_not_compared_with_normals_that_nobody_told(
-    folder: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    steep = np.add.outer(np.linspace(1, 3, SIZE), np.linspace(0, 2, SIZE))
-    write_exr(folder / "depth.exr", {"Z": steep})
-    (folder / "normals.exr").unlink()
-    with caplog.at_level(logging.WARNING, "pbrfit"):
-        assert Scene.load(folder).depth is not None
-    assert not caplog.records
 
 
 def test_inspect_tells_that_there_are_no_normals(

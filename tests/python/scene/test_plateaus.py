@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pbrfit import Scene
 from pbrfit.io.color import decode_srgb, encode_srgb
-from pbrfit.io.limits import AT_LEAST, AT_MOST
+from pbrfit.io.limits import AT_LEAST
 from pbrfit.scene.plateaus import NEXT_VALUES, plateaus
 from pbrfit.synthetic import make_scene
 from scene_files import known
@@ -36,15 +35,6 @@ def test_a_common_limit_is_found_in_every_channel_that_reaches_it(kind: type) ->
     limits = known(plateaus(clipped, None, [True] * 4))
     np.testing.assert_array_equal(limits == AT_LEAST, images >= kind(0.95))
     assert not limits[..., 2].any()
-
-
-def test_each_picture_may_have_its_own_limit() -> None:
-    images = pictures()
-    for image, limit in zip(images, (0.9, 0.8, 0.7, 2.0), strict=True):
-        np.minimum(image, np.float32(limit), out=image)
-    limits = known(plateaus(images, None, [True] * 4))
-    shares = [(of == AT_LEAST).mean() for of in limits]
-    assert shares == pytest.approx([0.1, 0.2, 0.3, 0], abs=0.02)
 
 
 @pytest.mark.parametrize(("repeats", "clipped"), [(9, False), (10, True)])
@@ -86,14 +76,6 @@ def test_former_codes_repeat_everywhere_and_are_no_plateau() -> None:
     assert found(np.minimum(images, images[0, 0, 0, 0])) is not None
 
 
-@pytest.mark.parametrize("value", [0.0, 1.0])
-def test_constant_pictures_and_black_backgrounds_are_data(value: float) -> None:
-    images = pictures()
-    assert found(np.full_like(images, value)) is None
-    images[:, : SIDE // 2] = 0.0
-    assert found(images) is None
-
-
 def test_what_is_outside_the_mask_does_not_tell() -> None:
     images = pictures()
     images[:, :4] = 7.0
@@ -116,23 +98,3 @@ def test_rendered_scenes_have_none(kind: str, noise: float) -> None:
         (scene.images >= highest)[:, scene.valid],
     )
     assert clipped.assumed["exposure"].startswith("of the values 1 % overexposed")
-
-
-def scene_of(limits: object) -> Scene:
-    normals = np.broadcast_to([0.0, 0.0, 1.0], (SIDE, SIDE, 3))
-    return Scene(images=np.minimum(pictures(2), 0.9), normals=normals, limits=limits)  # type: ignore[arg-type]
-
-
-def test_given_limits_stay() -> None:
-    limits = np.zeros((2, SIDE, SIDE, 3), dtype=np.int64)
-    assert scene_of(None).limits is not None
-    none = scene_of(limits)
-    assert not known(none.limits).any()
-    assert replace(none, fov=40.0).limits is not None
-    limits[1, 2, 3] = (0, AT_MOST, AT_LEAST)
-    limits[:, 5, 6] = AT_MOST
-    scene = scene_of(limits)
-    assert known(scene.limits).dtype == np.uint8
-    np.testing.assert_array_equal(known(scene.limits), limits)
-    assert not scene.valid[5, 6]
-    assert np.count_nonzero(~scene.valid) == 1

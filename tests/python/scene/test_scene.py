@@ -271,20 +271,6 @@ def test_a_value_without_weight_leaves_the_other_channels() -> None:
         scene(images=images, weights=weights)
 
 
-def test_how_far_off_normals_are_is_kept_in_degrees() -> None:
-    mask = np.ones((H, W), bool)
-    mask[1, 2] = False
-    for unsound in (np.nan, -1.0, np.inf, 1e300):
-        sigma = np.full((H, W), 2.5)
-        sigma[1, 2], sigma[0, 0] = unsound, 0.0
-        found = known(scene(mask=mask, normal_sigma=sigma).normal_sigma)
-        assert found.dtype == np.float32
-        np.testing.assert_array_equal(found[mask], sigma[mask].astype(np.float32))
-        assert np.isnan(found[~mask]).all()
-    assert scene().normal_sigma is None
-    assert dataclasses.replace(scene(normal_sigma=np.ones((H, W), int))).normal_sigma is not None
-
-
 def test_normals_that_are_all_equal_are_used_with_a_warning(
     caplog: pytest.LogCaptureFixture,
 ) -> None:

@@ -82,15 +82,6 @@ def test_formats_colour_and_hashes(tmp_path: Path, form: str) -> None:
     }
 
 
-def test_formats_may_be_mixed(folder: Path) -> None:
-    (folder / "images" / "light_01.exr").unlink()
-    write_png(folder / "images" / "light_01.png", room().images[1])
-    scene = Scene.load(folder)
-    np.testing.assert_allclose(scene.images, room().images, atol=5e-3)
-    assert scene.assumed["color of light_01.png"] == "sRGB (8-bit PNG without a profile)"
-    assert "light_00.exr, light_02.exr" in " ".join(scene.assumed)
-
-
 @pytest.mark.parametrize("toml", ["", 'color_space = "linear"'])
 @pytest.mark.parametrize("flag", [None, "linear", "srgb"])
 def test_colour_space_flag_before_scene_toml(tmp_path: Path, flag: Any, toml: str) -> None:
@@ -344,22 +335,6 @@ def test_codes_outside_the_range_are_limits_by_channel(folder: Path) -> None:
     assert dataclasses.replace(scene, fov=50.0).limits is None
 
 
-def test_limits_only_where_something_is_used(folder: Path) -> None:
-    codes = grey_codes()
-    write_codes(folder, codes)
-    assert Scene.load(folder).limits is None
-
-    codes[:, 0] = 255  # where the mask is not
-    write_codes(folder, codes)
-    white = np.ones((SIZE, SIZE), bool)
-    white[0] = False
-    write_mask(folder / "mask.png", white)
-    scene = Scene.load(folder)
-    assert scene.limits is None
-    assert "exposure" not in scene.assumed
-    np.testing.assert_array_equal(scene.valid, white)
-
-
 def test_a_picture_of_which_nothing_is_left_is_named(folder: Path) -> None:
     codes = grey_codes()
     codes[1, : SIZE // 2] = 0
@@ -396,32 +371,6 @@ def test_one_clipped_value_bounds_what_it_is_averaged_into(folder: Path) -> None
         np.testing.assert_array_equal(known(scene.limits), expected)
 
 
-def test_clipped_floats_are_found_beside_integers(folder: Path) -> None:
-    rng = np.random.default_rng(5)
-    codes = grey_codes()
-    codes[1, 5, 6] = 255
-    write_codes(folder, codes)
-    (folder / "images" / f"{room().names[0]}.png").unlink()
-    image = np.minimum(rng.random((SIZE, SIZE, 3)), 0.8)
-    write_exr(folder / "images" / f"{room().names[0]}.exr", image)
-    scene = Scene.load(folder)
-    np.testing.assert_array_equal(known(scene.limits)[0] == AT_LEAST, image == 0.8)
-    assert np.argwhere(known(scene.limits)[1:]).tolist() == [[0, 5, 6, c] for c in range(3)]
-
-
-@pytest.mark.parametrize("form", ["png", "tif"])
-def test_integers_that_were_clipped_below_white_are_found(folder: Path, form: str) -> None:
-    """Unless a range of codes is given."""
-    rng = np.random.default_rng(5)
-    for name in room().names:
-        (folder / "images" / f"{name}.exr").unlink(missing_ok=True)
-        codes = np.minimum(rng.integers(20, 240, (SIZE, SIZE, 3)), 150).astype(np.uint8)
-        Image.fromarray(codes).save(folder / "images" / f"{name}.{form}")
-    found = known(Scene.load(folder).limits)
-    np.testing.assert_array_equal(found[-1] == AT_LEAST, codes == 150)
-    assert Scene.load(folder, code_range=(0, 255)).limits is None
-
-
 @pytest.mark.parametrize("limit", [0, AT_LEAST, AT_MOST])
 def test_limits_are_saved_with_the_pictures(tmp_path: Path, limit: int) -> None:
     limits = np.zeros(room().images.shape, np.uint8)
@@ -442,16 +391,6 @@ def some_weights() -> NDArray[np.float32]:
 
 def in_all_channels(weights: list[NDArray[np.float32]]) -> NDArray[np.float32]:
     return np.broadcast_to(np.stack(weights)[..., None], (LIGHTS, SIZE, SIZE, 3))
-
-
-def test_weights_for_all_pictures_alike(folder: Path) -> None:
-    images.write_exr(folder / "weights.exr", {"Y": some_weights()})
-    scene = Scene.load(folder)
-    np.testing.assert_array_equal(known(scene.weights), in_all_channels([some_weights()] * LIGHTS))
-    assert not scene.valid[3, 4]
-    assert np.count_nonzero(~scene.valid) == 1
-    assert "weights.exr" in scene.inputs
-    assert scene.assumed["weights"].startswith("weights.exr, for all pictures alike: 0 to 2,")
 
 
 def test_weights_for_each_picture_by_name(folder: Path) -> None:
@@ -484,18 +423,6 @@ def test_weights_for_each_picture_by_name(folder: Path) -> None:
         message = rf"expected channel Y, or {names[1]}.Y, or .*, found {names[1]}"
         with pytest.raises(InputError, match=message):
             Scene.load(folder)
-
-
-def test_weights_and_limits_are_apart(folder: Path) -> None:
-    codes = grey_codes()
-    codes[1, 5, 6] = 255
-    write_codes(folder, codes)
-    images.write_exr(folder / "weights.exr", {"Y": some_weights()})
-    scene = Scene.load(folder)
-    np.testing.assert_array_equal(scene.weights, in_all_channels([some_weights()] * LIGHTS))
-    given = known(scene.channel_weights(1, slice(5, 6)))
-    np.testing.assert_array_equal(given[0, 6], 0)
-    np.testing.assert_array_equal(given[0, 7], some_weights()[5, 7])
 
 
 def test_averaged_samples_have_the_weight_of_their_variance(folder: Path) -> None:
@@ -565,15 +492,6 @@ def test_known_lights_are_found_by_name_and_one_picture_is_enough(folder: Path) 
     np.testing.assert_array_equal(Scene.load(folder).lighting, lights[:1])
 
 
-@pytest.mark.parametrize(
-    "names", [("X", "Y", "Z"), ("R", "G", "B"), tuple("normal." + c for c in "XYZ")]
-)
-def test_channels_of_normals(folder: Path, names: tuple[str, ...]) -> None:
-    channels = {name: room().normals[..., c] for c, name in enumerate(names)}
-    images.write_exr(folder / "normals.exr", channels)
-    np.testing.assert_allclose(Scene.load(folder).normals, room().normals, atol=1e-7)
-
-
 @pytest.mark.parametrize(("kind", "error"), [(np.uint8, 1e-2), (np.uint16, 4e-5)])
 @pytest.mark.parametrize("axes", ["opengl", "directx"])
 def test_normals_png_and_axes(folder: Path, axes: str, kind: Any, error: float) -> None:
@@ -608,15 +526,6 @@ def test_multi_illumination_layout_takes_the_largest_exr_in_the_order_of_numbers
     scene = Scene.load(tmp_path, fov=50)
     assert scene.names == ("dir_0_mip3", "dir_2_mip3", "dir_10_mip3")
     np.testing.assert_array_equal(scene.images[:, 0, 0, 0], [1, 3, 11])
-
-
-def test_names_in_any_script_and_other_files_beside_pictures(tmp_path: Path) -> None:
-    folder = write_folder(tmp_path / "Küche 厨房 🏺")
-    (folder / "images" / "light_00.exr").rename(folder / "images" / "ночь.exr")
-    (folder / "images" / ".DS_Store").write_bytes(b"?")
-    (folder / "images" / "notes.txt").write_text("?")
-    (folder / "images" / ".thumbnails").mkdir()
-    assert Scene.load(folder).names == ("light_01", "light_02", "ночь")
 
 
 def test_near_misses_are_named(folder: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -13,9 +13,8 @@ from pbrfit.model.geometry import view_directions
 from pbrfit.model.reflection import render
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import RayCast, draw, make_scene, random_lights
-from pbrfit.synthetic.geometry import Box, Cylinder, Plane, Primitive, Sphere, trace
+from pbrfit.synthetic.geometry import Box, Cylinder, Plane, Sphere, trace
 from pbrfit.synthetic.scenes import ADDED_KINDS
-from pbrfit.synthetic.stages import case_stage, room_stage
 from pbrfit_evaluation.rooms.frustum import Frustum
 from scene_files import held_out_of, known, lights_of, truth_of
 
@@ -78,13 +77,6 @@ def test_lights_fill_exactly_the_bands_of_their_order(sh_order: int) -> None:
     assert (np.linalg.norm(lights[:, :used], axis=(0, 2)) > 0.05).all()
 
 
-@pytest.mark.parametrize("count", [1, 2, 9, 15, 16, 40])
-def test_light_matrices_are_well_conditioned(count: int) -> None:
-    for seed in range(10):
-        lights = random_lights(count, np.random.default_rng(seed))
-        assert np.linalg.cond(np.moveaxis(lights, -1, 0)).max() <= 3000.0
-
-
 @pytest.mark.parametrize(("count", "sh_order"), [(0, 3), (4, 1), (4, 4)])
 def test_bad_light_arguments(count: int, sh_order: int) -> None:
     with pytest.raises(ValueError, match="count" if count == 0 else "sh_order"):
@@ -117,40 +109,6 @@ def test_segments_have_one_material_each(kind: str) -> None:
             np.testing.assert_array_equal(values, np.broadcast_to(values[0], values.shape))
 
 
-def gauge(solid: Primitive, p: Array) -> Array:
-    """Of object-space points: below 1 inside a solid, 1 on its surface, proportional to |p|."""
-    match solid:
-        case Sphere():
-            return np.asarray(np.linalg.norm(p, axis=-1) / solid.radius)
-        case Box():
-            return np.asarray((np.abs(p) / solid.half).max(axis=-1))
-        case Cylinder():
-            side = np.hypot(p[:, 0], p[:, 2]) / solid.radius
-            return np.asarray(np.maximum(side, np.abs(p[:, 1]) / solid.half))
-    raise AssertionError(type(solid))
-
-
-@pytest.mark.slow
-def test_pieces_do_not_run_into_each_other_or_the_walls() -> None:
-    # The corners of the cube are the corners of any box.
-    corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, 8).T
-    cloud = np.concatenate([corners, np.random.default_rng(0).uniform(-1, 1, size=(1500, 3))])
-    for seed in range(30):
-        rng = np.random.default_rng(seed)
-        rows, columns = rng.integers(4, 6, size=2)
-        for stage in (room_stage(rng), case_stage(rows, columns, rng)):
-            for piece in stage.pieces:
-                local = cloud * (piece.half if isinstance(piece, Box) else 1.0)
-                local = local / gauge(piece, local)[:, None]
-                points = piece.centre + local @ piece.rotation.T
-                for wall in stage.walls:
-                    height = ((points - wall.centre) @ wall.rotation)[:, 1]
-                    assert height.min() > -1e-9, f"seed {seed}: {piece}"
-                for other in stage.pieces:
-                    inside = gauge(other, (points - other.centre) @ other.rotation) < 1 - 1e-9
-                    assert other is piece or not inside.any(), f"seed {seed}: {piece}, {other}"
-
-
 def test_textures_vary_all_three_maps_within_pieces() -> None:
     varied = np.zeros(3, dtype=int)
     for seed in range(10):
@@ -160,13 +118,6 @@ def test_textures_vary_all_three_maps_within_pieces() -> None:
             maps = (view.materials.albedo, view.materials.roughness, view.materials.metallic)
             varied += [np.ptp(values[here], axis=0).max() > 0.1 for values in maps]
     assert (varied >= 10).all(), varied
-
-
-def test_textured_room_shares_the_geometry_of_the_room() -> None:
-    room = build("room", 32, np.random.default_rng(3))
-    textured = build("textured", 32, np.random.default_rng(3))
-    np.testing.assert_array_equal(room.segments, textured.segments)
-    np.testing.assert_array_equal(room.normals, textured.normals)
 
 
 def test_scene_does_not_depend_on_the_resolution() -> None:
@@ -183,11 +134,10 @@ def test_scene_does_not_depend_on_the_resolution() -> None:
 @pytest.mark.parametrize("fov", [20.0, 90.0, 150.0])
 @pytest.mark.parametrize("kind", ALL_KINDS)
 def test_the_shell_is_closed(kind: str, fov: float) -> None:
-    for seed in range(2):
-        view = build(kind, 24, np.random.default_rng(seed), fov)
-        assert view.segments.min() >= 1
-        assert np.sum(view_directions(24, 24, fov) * view.normals, axis=-1).min() > 0
-        assert view.fov == fov
+    view = build(kind, 24, np.random.default_rng(0), fov)
+    assert view.segments.min() >= 1
+    assert np.sum(view_directions(24, 24, fov) * view.normals, axis=-1).min() > 0
+    assert view.fov == fov
 
 
 def test_bad_scene_arguments() -> None:
@@ -218,22 +168,12 @@ def arrays(scene: Scene) -> dict[str, NDArray[Any]]:
 @pytest.mark.parametrize("kind", ALL_KINDS)
 def test_same_seed_same_bytes(kind: str) -> None:
     first, again, other = (
-        arrays(make_scene(kind, size=12, lights=4, held_out=2, noise=0.01, seed=seed))
+        arrays(make_scene(kind, size=6, lights=2, held_out=2, noise=0.01, seed=seed))
         for seed in (7, 7, 8)
     )
     for name in first:
         assert first[name].tobytes() == again[name].tobytes(), name
         assert first[name].tobytes() != other[name].tobytes(), name
-
-
-def test_streams_are_separate() -> None:
-    base = make_scene("room", size=24, lights=4, held_out=3)
-    more = make_scene("room", size=24, lights=6, held_out=3, noise=0.01)
-    np.testing.assert_array_equal(base.segments, more.segments)
-    np.testing.assert_array_equal(truth_of(base).materials.albedo, truth_of(more).materials.albedo)
-    # The held-out lights are the same up to the exposure.
-    ratio = held_out_of(more)[1][:, 0] / held_out_of(base)[1][:, 0]
-    np.testing.assert_allclose(ratio, ratio[0, 0], rtol=1e-12)
 
 
 @pytest.mark.parametrize("kind", KINDS)

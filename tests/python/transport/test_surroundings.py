@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pbrfit._core import InputError
-from pbrfit.synthetic.geometry import Box, Sphere
+from pbrfit.synthetic.geometry import Box
 from pbrfit.transport.scenery import BACK, FRONT, SIDE, WALL, Scenery
 from pbrfit.transport.walls import RUG, SAME_PLANE, Plane, Wall, without_rugs
 from small_worlds import (
@@ -184,16 +184,6 @@ def test_holes_are_no_surface_and_no_error() -> None:
     assert different < 0.1
 
 
-def test_points_outside_the_mask_block_too() -> None:
-    seen = ball_on_floor()
-    mask = seen.mask.copy()
-    mask[:, ::2] = False
-    normals = np.where(mask[..., None], seen.normals, np.nan)
-    found = built(replace(seen, mask=mask, normals=normals))
-    different, _ = disagreement(seen, found, [0, 1])
-    assert different < 0.06
-
-
 def test_noise_of_depth_makes_no_shadows() -> None:
     seen = box_room()
     rng = np.random.default_rng(2)
@@ -203,16 +193,6 @@ def test_noise_of_depth_makes_no_shadows() -> None:
     solid = sorted({shown_by(seen, wall) for wall in found.walls})
     _, false_front = disagreement(seen, found, [*solid, 6, 7])
     assert false_front < 0.05
-
-
-def test_a_coarse_grid_starts_rays_above_itself() -> None:
-    seen = ball_on_floor(96)
-    found = built(seen, most=1200)
-    assert (found.kind == FRONT).sum() < 2400
-    different, false_front = disagreement(seen, found, [0, 1])
-    assert different < 0.06
-    assert false_front < 0.04
-    assert lifted(seen, found) < 0.1
 
 
 def test_a_wall_that_does_not_block_is_left_out() -> None:
@@ -237,11 +217,3 @@ def test_a_ball_is_as_thick_as_it_is_wide_and_things_are_no_thicker_than_told() 
         back = found.triangles[found.kind == BACK].astype(float)
         apart = np.linalg.norm(back - front, axis=-1)
         np.testing.assert_allclose(apart, deep, rtol=tolerance)
-
-
-def test_nothing_lies_behind_a_wall() -> None:
-    seen = box_room(extra=(Sphere(centre=np.array([-1.0, 1.5, -3.5]), radius=0.3),))
-    found = built(seen)
-    backs = found.triangles[found.kind == BACK].reshape(-1, 3).astype(float)
-    for wall in found.walls:
-        assert np.quantile(wall.above(backs), 0.02) > -0.12

@@ -1,4 +1,4 @@
-"""Radiance under lamps: its derivatives against central differences; samples that are bounds."""
+"""Radiance under lamps: its derivatives against central differences, highlights, the scale."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from pbrfit.fit.lamps.joint import ALBEDO_SPREAD, Freedom, JointLamps, SurfacePr
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance, tangents
 from pbrfit.fit.lamps.sample_noise import Noise
 from pbrfit.fit.lamps.surfaces import deviations, missing_highlights
-from pbrfit.io.limits import AT_LEAST, AT_MOST
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import MODELS, Model
 from reference import unit
@@ -130,19 +129,6 @@ def test_the_joint_system_is_of_all_slopes_and_weights(model: Model, ambient: bo
     each, of_priors = fit.scores(along)
     assert_alike(each, (pushes[:, :size] - (mixed * solved).sum(axis=1)) @ along)
     assert_alike(np.array(of_priors), pulled @ along)
-
-
-def test_clipped_samples_are_bounds() -> None:
-    pixels, _ = example("paper")
-    limits = pixels.limits.copy()
-    limits[:, 0], limits[:, 1] = AT_LEAST, AT_MOST
-    weights = pixels.weights.copy()
-    weights[0] = 0.0
-    pixels = replace(pixels, samples=np.ones_like(weights), limits=limits, weights=weights)
-    brighter, darker = (pixels.residuals(np.full(weights.shape, shown)) for shown in (1.5, 0.5))
-    np.testing.assert_array_equal(brighter[1], np.repeat([[0.0], [0.5], [0.5]], 3, axis=1))
-    np.testing.assert_array_equal(darker[1], np.repeat([[-0.5], [0.0], [-0.5]], 3, axis=1))
-    assert (brighter[0] == 0).all()
 
 
 def test_a_highlight_is_missing_where_a_sample_is_brighter_by_more_than_the_noise() -> None:

@@ -7,7 +7,6 @@ import pytest
 
 from lamp_scenes import LampScene, around, ball, relief
 from pbrfit import InputError
-from pbrfit.fit.lamps.photometric import solved
 from pbrfit.fit.lamps.samples import BAS_RELIEF, FirstShape
 from pbrfit.fit.lamps.start import start_of_known_lamps, start_of_unknown_lamps
 
@@ -169,12 +168,3 @@ def test_black_pixels_and_black_pictures_are_no_crash() -> None:
     assert scene.error(start.normals) < 3.0
     assert (start.strengths[2] == 0).all()
     assert "picture 3" in start.undetermined[-1]
-
-
-def test_a_single_lit_sample_leaves_unit_normals_and_dark_lamps_none() -> None:
-    lamps, samples = around(4, 40), np.zeros((4, 2, 2))
-    samples[0, 0, 0] = 0.2
-    views = np.tile([0.0, 0, 1], (2, 2, 1))
-    start = start_of_known_lamps(samples, samples >= 0, samples[0] >= 0, views, lamps)
-    np.testing.assert_allclose(np.linalg.norm(start.normals, axis=-1), 1)
-    assert not solved(np.zeros((1, 4)), np.zeros((1, 4)), 0 * lamps).any()

@@ -9,10 +9,10 @@ import pytest
 
 from pbrfit.fit.lamps.estimator import first_prior
 from pbrfit.fit.lamps.joint import Freedom
-from pbrfit.fit.lamps.problem import LampPixels, LampState, by_pieces, radiance
-from pbrfit.fit.lamps.sample_noise import NOISE_MIN, Judged, Noise
+from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
+from pbrfit.fit.lamps.sample_noise import NOISE_MIN, Noise
 from pbrfit.fit.lamps.surfaces import Band, fit_band
-from pbrfit.fit.settings import MEAN_RADIANCE, PIXELS_AT_ONCE
+from pbrfit.fit.settings import MEAN_RADIANCE
 from pbrfit.io.limits import AT_LEAST, AT_MOST
 from pbrfit.model.lamps import Lamps
 from reference import unit
@@ -68,26 +68,6 @@ def test_samples_are_judged_by_the_formulas(proportional: bool) -> None:
         np.testing.assert_allclose(found.weights[p, i], weights, rtol=1e-9)
     assert 0 < dark < found.odds.size
     np.testing.assert_allclose(found.likelihoods, 0, atol=1e-9)
-
-
-def test_weights_are_between_those_in_shadows_and_in_none() -> None:
-    weights = np.array([[[[1.0, 2, 3], [5, 6, 7]]]])
-    judged = Judged(np.zeros((1, 1)), np.zeros(1), weights)
-    for odds, expected in (np.inf, [5, 6, 7]), (-np.inf, [1, 2, 3]), (0.0, [3, 4, 5]):
-        np.testing.assert_allclose(judged.weighed(np.array([[odds]])), [[expected]])
-
-
-def test_pieces_and_threads_change_no_bit() -> None:
-    count = 2 * PIXELS_AT_ONCE // PICTURES + 5
-    pixels, state = example(count)
-    noise = Noise(0.05, 0.1, np.full(PICTURES, 0.1))
-    together = noise.judged(pixels, state)
-    rows = slice(count - 9, count)
-    alone = noise.judged(replace(pixels, threads=1).of_rows(rows), state.of_rows(rows))
-    for one, two in zip(together, alone, strict=True):
-        np.testing.assert_array_equal(one[rows], two)
-    [numbers] = by_pieces(pixels, lambda some, _: (some.places.astype(float),))
-    np.testing.assert_array_equal(numbers, np.arange(count))
 
 
 METALS, ODD = np.arange(100) % 10 >= 6, np.arange(100) < 50
