@@ -31,7 +31,7 @@ from pbrfit.fit import settings
 from pbrfit.fit.coarse import Lights
 from pbrfit.fit.estimator import fit_materials, lights_and_noise
 from pbrfit.fit.given import Contradiction, contradiction
-from pbrfit.fit.lamps.estimator import Found, LampFit, settled
+from pbrfit.fit.lamps.estimator import LOOK_LAST, Found, LampFit, settled
 from pbrfit.fit.lamps.picture_light import light_of_picture
 from pbrfit.fit.lamps.samples import FirstShape
 from pbrfit.fit.lamps.shape import first_shape
@@ -47,8 +47,8 @@ from pbrfit.fit.left_out import (
 from pbrfit.fit.normals import refined_fit
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.run import FitSetup, Run
-from pbrfit.fit.tiles.windows import cut, strided_window, without_shape
 from pbrfit.fit.transport import Surrounded, search
+from pbrfit.fit.windows import cut, strided_window, without_shape
 from pbrfit.io.color import Curve
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import DEFAULT_MODEL, Model, shade
@@ -325,7 +325,7 @@ class _Comparison:
             if not results:
                 break
             best = min(results, key=SCORE)
-            errors = settings.COMPARE_DROPPED_ERRORS
+            errors = 2 * settings.COMPARE_ERRORS_MIN
             kinds = [one.explanation for one in results if not one.is_worse(best, errors)]
             if len(kinds) == 1:
                 break
@@ -619,7 +619,7 @@ class _Comparison:
         return run, replace(lights, x=lights.x.copy(), shared=copy(lights.shared))
 
     def _under_lamps(self, scene: Scene, shape: FirstShape | None) -> _Fitted:
-        fit = LampFit(scene, self._setup_with(), shape, rounds=settings.COMPARE_LAMP_ROUNDS)
+        fit = LampFit(scene, self._setup_with(), shape, rounds=LOOK_LAST)
         pixels, state, found = fit.of_all_pixels()
         return _Fitted(
             (state.albedo, state.roughness, state.metallic),

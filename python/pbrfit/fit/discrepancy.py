@@ -112,7 +112,7 @@ def find(
     pairs = neighbours(objective.layout)
     pixels = np.unique(pairs)
     if not pairs.size:
-        pixels = evenly_spaced(objective.pixels, settings.LIGHT_PIXELS_MAX)
+        pixels = evenly_spaced(objective.pixels, settings.COARSE_PIXELS)
     few, part = objective.restricted(pixels), objective.part_of(x, pixels)
     maps = objective.layout.maps.stop
     unknowns = few.layout.maps.stop + (objective.size - maps) * few.pixels / objective.pixels

@@ -37,12 +37,12 @@ from pbrfit.fit.lamps.given_normals import TINY
 from pbrfit.fit.lamps.outline import outline
 from pbrfit.fit.lamps.photometric import DARK, ROUNDS, pseudo_normals, solved
 from pbrfit.fit.lamps.problem import LampPixels
-from pbrfit.fit.lamps.samples import Samples, brightness, grey_samples
+from pbrfit.fit.lamps.samples import MATT_PIXELS, Samples, brightness, grey_samples
 from pbrfit.fit.left_out import patches_of
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import fit_level
 from pbrfit.fit.scale import IRRADIANCE
-from pbrfit.fit.tiles.windows import cut, strided_window, without_shape
+from pbrfit.fit.windows import cut, strided_window, without_shape
 from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.model.geometry import facing_away, view_directions
 from pbrfit.model.lamps import Lamps
@@ -60,9 +60,6 @@ in one scene of 120. Bound on the probability that by chance some turn of lamps 
 
 GAIN_MIN = 0.05
 """Share by which an alternative has to lower what lamps leave: fits end within a hundredth."""
-
-PIXELS = 4000
-"""At which lamps beside given normals, and segments, are looked at: 60 in each patch."""
 
 SIDE = 128
 """Longer side in pixels that given normals are averaged down to, which evens out 8 bits' steps."""
@@ -119,7 +116,7 @@ def _of_strength(scene: Scene, model: Model | None) -> Contradiction | None:
     lights = scene.lighting
     if lights is None or not scene.normals_known:
         return None
-    few = cut(scene, strided_window(scene.valid, PIXELS))
+    few = cut(scene, strided_window(scene.valid, MATT_PIXELS))
     patches = patches_of(few.valid)
 
     def left(times: float) -> Array:
@@ -149,7 +146,7 @@ def _of_segments(scene: Scene) -> Contradiction | None:
     """Of one material colours are alike: mirrored segments may not leave less of their means."""
     if scene.segments is None:
         return None
-    window = strided_window(scene.valid, PIXELS)
+    window = strided_window(scene.valid, MATT_PIXELS)
     few = cut(scene, window)
     colors = np.mean([few.samples(i) for i in range(len(few.images))], axis=0, dtype=np.float64)
     colors = np.log(np.maximum(colors, TINY + 0.01 * colors.mean()))
@@ -188,7 +185,7 @@ def _of_normals_and_lights(scene: Scene, averaged: Scene | None) -> Contradictio
     flipped = _surely_best(surface.votes(normals), surface.flips(normals))
     found = None if flipped is None else _turned(flipped, OF_A_SURFACE, "normals")
     if scene.lighting is not None or lamps is not None:
-        matt = _Matt(cut(scene, strided_window(scene.valid, PIXELS)))
+        matt = _Matt(cut(scene, strided_window(scene.valid, MATT_PIXELS)))
         if lamps is None or matt.pixels.points is not None or not lamps.near.any():
             found = _of_lights_and_normals(matt, flipped) or found
     return found

@@ -147,7 +147,7 @@ class JointFit:
 
     def renew_preconditioner(self) -> None:
         """Make it anew, from some pixels."""
-        few, part, times, options = _sample(self, settings.PRECONDITIONER_PIXELS)
+        few, part, times, options = _sample(self, settings.COARSE_PIXELS)
         others = np.empty(0) if self.offsets is None else self._offset_precision.ravel()
         self.shared.inverse = Preconditioner.of(few, part, times, self.lights, others, options)
         self.shared.size = self.lights.mean.size + len(others)

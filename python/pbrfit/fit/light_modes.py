@@ -35,7 +35,7 @@ def light_modes(objective: Objective, x: Array, of_pixels: int | None = None) ->
     layout = objective.layout
     if objective.lighting is None:
         return np.zeros((0, layout.pictures, layout.coefficients, layout.channels))
-    pixels = evenly_spaced(layout.pixels, settings.LIGHT_PIXELS_MAX)
+    pixels = evenly_spaced(layout.pixels, settings.COARSE_PIXELS)
     few, part = objective.restricted(pixels), objective.part_of(x, pixels)
     channels, k = layout.light_channels, layout.coefficients
     alone = known_materials(few, part)

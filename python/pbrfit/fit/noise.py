@@ -201,7 +201,7 @@ def estimated(objective: Objective, x: Array, *, outliers: bool = False) -> Nois
     samples = _Samples.of(objective, every, _residuals(objective, every, x))
     used, of_file = samples.ordinary, samples.of_file
     counts = used.sum(axis=(1, 2))
-    mean_radiance = max(float(samples.radiance[used].mean()), settings.MEAN_RADIANCE_MIN)
+    mean_radiance = float(samples.radiance[used].mean()) or settings.MEAN_RADIANCE
     mean_of_file = 0.0 if of_file is None else float(of_file[used].mean())
     relative = samples.radiance / mean_radiance
     terms = [np.ones_like(relative), relative, relative**2]

@@ -176,9 +176,9 @@ class Objective:
         Where normals are free they are the given ones.
         """
         maps = np.empty(self.layout.maps.stop)
-        albedo = settings.START_MEAN_ALBEDO / settings.MEAN_RADIANCE * self._mean_image()
+        albedo = settings.START_MIDDLE / settings.MEAN_RADIANCE * self._mean_image()
         maps[self.albedo] = np.clip(albedo, *settings.START_ALBEDO_RANGE).T.ravel()
-        maps[self.roughness] = settings.START_ROUGHNESS
+        maps[self.roughness] = settings.START_MIDDLE
         if self.metallic is not None:
             maps[self.metallic] = settings.START_METALLIC
         if self.tangent_offsets is not None:

@@ -66,11 +66,11 @@ class Preconditioner:
         matrix[:end, :end] += lights.matrix(basis)
         np.einsum("ii->i", matrix)[end:] += others + np.finfo(float).tiny
         matrix /= lights.pixels
-        in_span = solver_of(matrix, settings.PRECONDITIONER_DAMPING)
+        in_span = solver_of(matrix, settings.LIGHT_RIDGE)
         if basis is None:
             return cls(in_span)
         blocks = times * known_materials(objective, x) + lights.of_pictures()
-        ridge = settings.PRECONDITIONER_DAMPING * np.einsum("nii->n", blocks) + np.finfo(float).tiny
+        ridge = settings.LIGHT_RIDGE * np.einsum("nii->n", blocks) + np.finfo(float).tiny
         np.einsum("nii->ni", blocks)[:] += ridge[:, None]
         return cls(in_span, basis, np.asarray(np.linalg.inv(blocks / lights.pixels), np.float64))
 

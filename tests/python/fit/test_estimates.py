@@ -21,7 +21,7 @@ from pbrfit.fit.estimates import (
     used,
 )
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.tiles.windows import Window, cut
+from pbrfit.fit.windows import Window, cut
 from pbrfit.io import images
 from pbrfit.model.materials import Materials
 from pbrfit.result.uncertainty import Uncertainty

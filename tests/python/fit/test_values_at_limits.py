@@ -10,7 +10,7 @@ import pytest
 
 from pbrfit import decompose
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.tiles.windows import Window, cut
+from pbrfit.fit.windows import Window, cut
 from pbrfit.synthetic import make_scene
 from scene_files import known
 

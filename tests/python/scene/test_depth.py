@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from command_runs import done
 from pbrfit import InputError, Scene
-from pbrfit.fit.tiles.windows import Window, cut
+from pbrfit.fit.windows import Window, cut
 from pbrfit.io import images
 from pbrfit.model import geometry
 from pbrfit.report import inspection

@@ -48,8 +48,8 @@ ROUNDS = 8
 """Rounds of weighted least squares at a pixel."""
 
 DARK = 0.02
-"""Share of a pixel's brightness below which a sample is dark: it is told to be in shadow and says
-nothing of b. Interreflections bring a few per cent into shadows."""
+"""Share of a pixel's brightness, or of a picture's, below which a sample is dark: it is told to be
+in shadow and says nothing of b. Interreflections bring a few per cent into shadows."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.fit.sampling import placed
+from pbrfit.fit.settings import COMPARE_PATCHES
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-BLOCKS = 8
-"""Blocks of the picture across the mask's larger side: what light from other surfaces, gloss and
-shadows put in error together is about an eighth of an object."""
-
+MATT_PIXELS = 4000
+"""Pixels that lamps are found from, or held against, by matt shading: N lamps of three numbers each
+are known to a per cent of σ by as many, and each patch of the picture has 60."""
 
 BAS_RELIEF = np.zeros((3, 3, 3))
 BAS_RELIEF[0, [0, 1], [0, 1]] = BAS_RELIEF[1, 0, 2] = BAS_RELIEF[2, 1, 2] = 1.0
@@ -138,7 +138,7 @@ def some_of(count: int, most: int) -> NDArray[np.intp]:
 def blocks_of(where: tuple[NDArray[np.intp], ...]) -> NDArray[np.intp]:
     """Number of the block of each pixel."""
     rows, columns = where
-    size = max(np.ptp(rows), np.ptp(columns)) / BLOCKS + 1e-9
-    down = np.minimum((rows - rows.min()) / size, BLOCKS - 1).astype(np.intp)
-    right = np.minimum((columns - columns.min()) / size, BLOCKS - 1).astype(np.intp)
-    return np.asarray(down * BLOCKS + right)
+    size = max(np.ptp(rows), np.ptp(columns)) / COMPARE_PATCHES + 1e-9
+    down = np.minimum((rows - rows.min()) / size, COMPARE_PATCHES - 1).astype(np.intp)
+    right = np.minimum((columns - columns.min()) / size, COMPARE_PATCHES - 1).astype(np.intp)
+    return np.asarray(down * COMPARE_PATCHES + right)

@@ -17,16 +17,12 @@ from pbrfit.fit.lamps.ambiguity import Minimum, Places, Relief, minima, unit_and
 from pbrfit.fit.lamps.factorization import Factors, factors
 from pbrfit.fit.lamps.outline import outline, rough_shape
 from pbrfit.fit.lamps.photometric import DARK, pseudo_normals
-from pbrfit.fit.lamps.samples import FirstShape, Samples, some_of
+from pbrfit.fit.lamps.samples import MATT_PIXELS, FirstShape, Samples, some_of
 from pbrfit.fit.lamps.surface import finished, strengths_along
 from pbrfit.model.geometry import angles_between
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-FACTORED_MAX = 4000
-"""Pixels that the lamps' space is found from: N unknown lamps of three numbers each are known to a
-per cent of σ by as many."""
 
 PLACES_MIN = 30
 """Pixels with a pseudo-normal of their own below which cues say nothing: each of the eight unknowns
@@ -86,7 +82,7 @@ def start_of_unknown_lamps(
         some = np.asarray(samples)[seen], np.asarray(usable)[seen]
         return _with_black(start_of_unknown_lamps(*some, mask, views, fov, threads), seen)
     rays = views if fov > 0 else np.broadcast_to([0.0, 0.0, 1.0], views.shape)
-    chosen = some_of(len(data.grey), FACTORED_MAX)
+    chosen = some_of(len(data.grey), MATT_PIXELS)
     product = factors(data.relative[chosen], data.usable[chosen])
     edge = outline(mask, views)
     if product.rank < 3:
@@ -141,7 +137,7 @@ def _start_of_few(data: Samples, views: Array, product: Factors) -> FirstShape:
 
 def _strengths_of_known(data: Samples, lamps: Array) -> tuple[Array, tuple[str, ...]]:
     """Strengths (N,) of lamps with known directions; equal ones, with a word, if nothing tells."""
-    chosen = some_of(len(data.grey), FACTORED_MAX)
+    chosen = some_of(len(data.grey), MATT_PIXELS)
     product = factors(data.relative[chosen], data.usable[chosen])
     found = strengths_along(product.lamps, lamps) if product.rank == 3 else None
     if found is None:

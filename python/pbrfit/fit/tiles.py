@@ -1,4 +1,13 @@
-"""The fit of a large picture: a strided subset of its pixels, then tile by tile."""
+"""Large pictures: lights from some of the pixels, then all pixels tile by tile.
+
+What a fit holds beside the pictures is a few hundred bytes a pixel, and for a large picture that is
+more than the pictures themselves. But lights have few unknowns: a strided subset of the pixels
+finds them as well as all do. Once they are known pixels touch each other only where normals are
+refined. So every s-th row and column is a small scene, which is fitted as any other; then, with its
+lights, its decision on normals and its material prior held, tiles of the picture are fitted one
+after the other. Where normals are refined they have a margin, which is not kept. Only the pictures
+and the resulting maps are there as a whole.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +22,12 @@ from pbrfit.fit import settings, uncertainty
 from pbrfit.fit.normals import refined_fit
 from pbrfit.fit.objective import Normalization, valid_values
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.run import FitSetup, Run, State, material_errors
+from pbrfit.fit.run import FitSetup, Run, State
 from pbrfit.fit.sampling import pixel_index
-from pbrfit.fit.tiles.windows import Tile, Window, cut, cut_maps, strided_window, tiles
 from pbrfit.fit.whole_picture import FitOutput, Start, fit_pixels, output_of, uncertainty_of
+from pbrfit.fit.windows import Tile, Window, cut, cut_maps, strided_window, tiles
 from pbrfit.model.materials import Materials, nearest_inside
 from pbrfit.result.data import Stage, Status
-from pbrfit.result.history import HistoryRow
 from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import Refinement
 from pbrfit.scene.scene import Scene
@@ -73,9 +81,7 @@ def fit_tiles(
     clock.evaluations += round(passes)
     mean = loss / weight
     rmse = clock.objective.residual_rmse(mean)
-    errors = {} if scene.truth is None else material_errors(maps.materials, scene.truth.materials)
-    elapsed, passes_done = clock.elapsed, clock.evaluations
-    clock.rows.append(HistoryRow(elapsed, clock.iteration, passes_done, mean, rmse, **errors))
+    clock.add_row(scene, maps.materials, mean, rmse)
     return output_of(
         replace(state, ended=ending(*state.ended, statuses, options)),
         setup,
