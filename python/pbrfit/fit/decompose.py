@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from pbrfit import address_space
 from pbrfit._core import InputError
 from pbrfit.fit import memory
-from pbrfit.fit.bar import notebook_bar
 from pbrfit.fit.causes import left_out_words, with_causes
-from pbrfit.fit.run import FitSetup, Progress, Trace, material_errors
+from pbrfit.fit.run import FitSetup, Progress, Trace, material_errors, notebook_bar
 from pbrfit.fit.sampling import slices
 from pbrfit.fit.scale import checked_white
 from pbrfit.fit.tiles import fit_tiles

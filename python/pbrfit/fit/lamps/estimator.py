@@ -8,9 +8,11 @@ itself with shadows and metals (`surfaces`).
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,9 +36,9 @@ from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
 from pbrfit.fit.lamps.sample_noise import Noise
 from pbrfit.fit.lamps.samples import FirstShape
 from pbrfit.fit.lamps.scale import Reference
-from pbrfit.fit.lamps.shape import FOV_MAX, FOV_MEAN, FOV_SPREAD
+from pbrfit.fit.lamps.shape import FOV_MAX, FOV_MEAN, FOV_SPREAD, first_shape, height_of
 from pbrfit.fit.priors.population import METALLIC_DEVIATION
-from pbrfit.fit.run import FitSetup, Trace
+from pbrfit.fit.run import FitSetup, Progress, Trace
 from pbrfit.fit.sampling import evenly_spaced, evenly_spaced_over, placed
 from pbrfit.fit.settings import (
     DEGREES_OF_FREEDOM_SHARE_MIN,
@@ -51,10 +53,14 @@ from pbrfit.lazy import lazy
 from pbrfit.model.geometry import view_directions
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
+from pbrfit.model.reflection import chosen_model, whole_number
+from pbrfit.registration.placement import aligned
 from pbrfit.result.camera import Camera
+from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import FROM_PICTURES, Refinement
 from pbrfit.result.uncertainty import TWO_SIDED, Uncertainty
 from pbrfit.result.verdict import by_deviations
+from pbrfit.scene.arrays import SHAPE_PICTURES_MIN
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import one_blas_thread
 from pbrfit.transport.scenery import Scenery
@@ -763,3 +769,51 @@ def fit_lamps(
 ) -> FitOutput:
     """Fit surfaces, lamps and ambient light to a scene, from what some pixels have found."""
     return LampFit(scene, setup, start, begin).solve()
+
+
+class PictureNormals(NamedTuple):
+    """What pictures tell of shape."""
+
+    normals: Array
+    """(H, W, 3), NaN outside the mask."""
+    sigma_degrees: Array
+    """(H, W): how uncertain they are by noise and by the lamps, both tangent offsets together."""
+    height: NDArray[np.float32]
+    """(H, W), as in `Result`."""
+    lamps: Lamps
+    undetermined: tuple[str, ...]
+    """What the pictures leave open, each in words."""
+
+
+def normals_from_pictures(
+    scene: Scene, *, threads: int = 0, progress: Callable[[Progress], None] | None = None
+) -> PictureNormals:
+    """Fit a scene without normals under lamps.
+
+    Raises
+    ------
+    InputError
+        If the scene has normals, fewer than three pictures, known SH light, or near lamps without
+        depth.
+    """
+    if scene.normals_known:
+        raise InputError("normals: expected none, which the pictures are to tell, found some")
+    count = len(scene.images)
+    if count < SHAPE_PICTURES_MIN:
+        raise InputError(
+            f"images: expected {SHAPE_PICTURES_MIN} or more pictures under different lamps, found "
+            f"{count}"
+        )
+    began = time.perf_counter()
+    options = FitOptions(light="lamps", model=chosen_model(None, scene.model), uncertainty=True)
+    scene = aligned(scene)
+    setup = FitSetup(options, whole_number("threads", threads), progress, began)
+    check_light(scene, setup)
+    start = first_shape(scene)
+    found = fit_lamps(scene, setup, start)
+    assert found.lamps is not None
+    assert found.normal_sigma is not None
+    height = height_of(found.normals, scene)
+    return PictureNormals(
+        found.normals, found.normal_sigma, height, found.lamps, start.undetermined
+    )

@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 
 from pbrfit.fit import settings
 from pbrfit.fit.coarse import Lights, rounds
+from pbrfit.fit.discrepancy import light_modes
 from pbrfit.fit.estimator import find_lights, solve
 from pbrfit.fit.levels import Level
-from pbrfit.fit.light_modes import light_modes
 from pbrfit.fit.noise import NoiseModel
 from pbrfit.fit.normals.prior import (
     FreeNormals,
