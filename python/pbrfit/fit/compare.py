@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import logging
 import math
-import time
 from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
@@ -46,7 +45,7 @@ from pbrfit.fit.left_out import (
 )
 from pbrfit.fit.normals import refined_fit
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.run import FitSetup, Run
+from pbrfit.fit.run import FitSetup, Run, Trace
 from pbrfit.fit.transport import Surrounded, search
 from pbrfit.fit.windows import cut, strided_window, without_shape
 from pbrfit.io.color import Curve
@@ -152,6 +151,7 @@ class _Comparison:
         self._no_surroundings = self._without_surroundings()
         self._transfer: PixelTransfer | None = None
         """Of the pixels that are compared, with all pictures."""
+        self._is_late = Trace(self._setup_with()).out_of_time
 
     def best(self) -> Choice:
         """The explanation of those that a scene can need."""
@@ -342,17 +342,6 @@ class _Comparison:
             LeftOut.together([one.without(none) for one, none in zip(of, hot, strict=False)])
             for of in tried
         ]
-
-    @property
-    def _limit(self) -> float | None:
-        """Half of the time limit: the other half is for the fit of all pixels."""
-        limit = self._options.time_limit
-        return None if limit is None else limit / 2
-
-    def _is_late(self) -> bool:
-        """Whether the time for comparing is over."""
-        limit = self._limit
-        return limit is not None and time.perf_counter() - self._setup.began >= limit
 
     def _lights(self) -> tuple[LightKind, ...]:
         scene, options = self._scene, self._options
@@ -559,7 +548,11 @@ class _Comparison:
         return self._shapes[response, number]
 
     def _setup_with(self, **options: Any) -> FitSetup:
-        """That of a fit that is compared: maps alone, with some options in place of the given."""
+        """That of a fit that is compared: maps alone, with some options in place of the given.
+
+        It has half of the time limit: the other half is for the fit of all pixels.
+        """
+        limit = self._options.time_limit
         of_all = replace(
             self._options,
             iterations=FitOptions.iterations,
@@ -567,7 +560,7 @@ class _Comparison:
             refine_normals="off",
             transport="none",
             uncertainty=False,
-            time_limit=self._limit,
+            time_limit=None if limit is None else limit / 2,
             **options,
         )
         return replace(self._setup, options=of_all, progress=None)

@@ -86,7 +86,8 @@ COARSE_WEIGHT_FALL = 0.1
 
 PATCH_SIDE = 8
 PATCHES_MIN = 4
-"""Rows and columns of a level's pixels in a patch, and how many patches tell a design effect."""
+"""Rows and columns of a level's pixels in a patch, and how many patches, or groups of pixels, tell
+a variance; one less are the fewest degrees of freedom that it is taken to have."""
 
 # --- Noise of samples -------------------------------------------------------------------------
 
@@ -344,9 +345,6 @@ SCALE_STEP_MAX = 0.1
 
 GROUP_LEVERAGE_MAX = 0.5
 """Share of the information on the scale that a group counts as having, at most."""
-
-FREEDOM_MIN = 3.0
-"""Smallest degrees of freedom of a jackknife's variance."""
 
 UNIFORM_PRECISION = 12.0
 """1/variance of a number that may lie anywhere in [0, 1]."""

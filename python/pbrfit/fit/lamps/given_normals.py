@@ -36,6 +36,7 @@ FINAL_SCALE = 0.02
 """Scale of residuals, a logarithm, that weights end with: 2 %."""
 
 TINY = 1e-12
+"""Radiance, or what stands below a fraction, that counts as none."""
 
 
 def far_lamps(pixels: LampPixels) -> tuple[Lamps, Array]:
