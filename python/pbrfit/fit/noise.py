@@ -46,7 +46,7 @@ from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import Pixels, pieces
 from pbrfit.fit.sampling import slices
 from pbrfit.fit.tails import StudentT, Tails, likeliest
-from pbrfit.io.limits import AT_LEAST, AT_MOST
+from pbrfit.io.limits import satisfied
 from pbrfit.threads import in_pieces
 
 Array = NDArray[np.float64]
@@ -107,8 +107,9 @@ class NoiseModel:
             if samples.limits is not None:  # a hot pixel at its maximum must not pull
                 bounded = samples.limits > 0
                 weights[bounded] = wide.weights(squares[bounded]) / wide.largest_weight
+                weights[satisfied(samples.limits, samples.residuals)] = 0.0
             weights *= least / variances
-            weights[~samples.used | samples.satisfied()] = 0.0
+            weights[~samples.used] = 0.0
             found[:, part[0]] = weights
 
         for pixels in pieces(objective.everything):
@@ -175,13 +176,6 @@ class _Samples:
     def ordinary(self) -> NDArray[np.bool_]:
         """Which tell the radiance."""
         return self.used if self.limits is None else self.used & (self.limits == 0)
-
-    def satisfied(self) -> NDArray[np.bool_]:
-        """Which are at a limit that the model is beyond."""
-        if self.limits is None:
-            return np.zeros(self.residuals.shape, bool)
-        above = (self.limits == AT_LEAST) & (self.residuals >= 0)
-        return np.asarray(above | ((self.limits == AT_MOST) & (self.residuals <= 0)))
 
 
 def _residuals(objective: Objective, pixels: Pixels, x: Array | None) -> Array:

@@ -42,22 +42,9 @@ class Samples:
 
     @classmethod
     def of(cls, samples: Array, usable: Mask, mask: Mask, threads: int = 0) -> Samples:
-        """Of pictures (N, H, W) or (N, H, W, C), in which some values are usable, of that shape."""
-        samples = np.asarray(samples, np.float64)
-        if samples.ndim == 3:
-            samples, usable = samples[..., None], np.asarray(usable)[..., None]
-        if samples.ndim != 4 or len(samples) < 3:
-            raise InputError(
-                f"pictures: expected three or more of one size, found {samples.shape[:3]}"
-            )
-        for name, array, shape in (
-            ("usable", usable, samples.shape),
-            ("mask", mask, samples.shape[1:3]),
-        ):
-            if np.shape(array) != shape:
-                raise InputError(f"{name}: expected shape {shape}, found {np.shape(array)}")
-        if not mask.any():
-            raise InputError("mask: expected pixels, found none")
+        """Of pictures (N, H, W, C), in which some values are usable, of that shape."""
+        if len(samples) < 3:
+            raise InputError(f"pictures: expected three or more of one view, found {len(samples)}")
         colors = np.moveaxis(samples[:, mask], 0, 1)
         told = np.moveaxis(usable[:, mask], 0, 1) & np.isfinite(colors)
         colors = np.where(np.isfinite(colors), colors, 0.0)

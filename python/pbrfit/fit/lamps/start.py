@@ -44,15 +44,11 @@ def start_of_known_lamps(
 ) -> FirstShape:
     """Start with lamps whose `directions`, (N, 3) unit vectors, are known.
 
-    Of `samples` (N, H, W) or (N, H, W, 3), linear radiance, some are `usable`: not clipped, and in
-    the mask (H, W). `views` (H, W, 3) are unit vectors to the camera; `strengths` (N,) or (N, 3);
-    None = found up to a common factor. Raises InputError for fewer than three pictures, or shapes
-    that do not fit.
+    Of `samples` (N, H, W, C), linear radiance, some are `usable`: not clipped, and in the mask
+    (H, W). `views` (H, W, 3) are unit vectors to the camera; `strengths` (N,) or (N, 3); None =
+    found up to a common factor. Raises InputError for fewer than three pictures.
     """
-    data = Samples.of(samples, usable, mask, threads)
-    lamps = np.asarray(directions, np.float64)
-    if lamps.shape != (data.pictures, 3):
-        raise InputError(f"directions: expected {(data.pictures, 3)}, found {lamps.shape}")
+    data, lamps = Samples.of(samples, usable, mask, threads), np.asarray(directions, np.float64)
     undetermined: tuple[str, ...] = ()
     if strengths is None:
         grey, undetermined = _strengths_of_known(data, lamps)
@@ -79,7 +75,7 @@ def start_of_unknown_lamps(
             raise InputError(
                 f"pictures: expected three or more in which a lamp is seen, found {seen.sum()}"
             )
-        some = np.asarray(samples)[seen], np.asarray(usable)[seen]
+        some = samples[seen], usable[seen]
         return _with_black(start_of_unknown_lamps(*some, mask, views, fov, threads), seen)
     rays = views if fov > 0 else np.broadcast_to([0.0, 0.0, 1.0], views.shape)
     chosen = some_of(len(data.grey), MATT_PIXELS)

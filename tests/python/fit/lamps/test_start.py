@@ -111,7 +111,10 @@ def test_lamps_in_a_plane_leave_a_part_of_normals_and_that_is_said(known: bool) 
 def test_pictures_in_one_channel() -> None:
     scene = ball(around(9, 40, 10), size=48)
     start = start_of_unknown_lamps(
-        scene.samples.mean(axis=-1), np.asarray(scene.usable.all(axis=-1)), scene.mask, scene.views
+        scene.samples.mean(axis=-1, keepdims=True),
+        np.asarray(scene.usable.all(axis=-1, keepdims=True)),
+        scene.mask,
+        scene.views,
     )
     assert start.albedo.shape == (48, 48, 3)
     assert scene.error(start.normals) < 1.0
@@ -135,15 +138,10 @@ def test_a_clipped_red_leaves_green_and_blue() -> None:
     assert np.abs(np.log(off / np.median(off, axis=0))).mean() < 0.02
 
 
-@pytest.mark.parametrize(
-    ("pictures", "rows", "words"), [(2, 0, "three or more"), (3, 1, "mask: expected shape")]
-)
-def test_what_does_not_fit_is_refused(pictures: int, rows: int, words: str) -> None:
+def test_two_pictures_are_refused() -> None:
     of = ball(around(3, 40), size=24)
-    with pytest.raises(InputError, match=words):
-        start_of_unknown_lamps(
-            of.samples[:pictures], of.usable[:pictures], of.mask[rows:], of.views
-        )
+    with pytest.raises(InputError, match="three or more"):
+        start_of_unknown_lamps(of.samples[:2], of.usable[:2], of.mask, of.views)
 
 
 @pytest.mark.parametrize("pixels", [1, 4, 20])
@@ -172,9 +170,9 @@ def test_black_pixels_and_black_pictures_are_no_crash() -> None:
 
 
 def test_a_single_lit_sample_leaves_unit_normals_and_dark_lamps_none() -> None:
-    lamps, samples = around(4, 40), np.zeros((4, 2, 2))
+    lamps, samples = around(4, 40), np.zeros((4, 2, 2, 1))
     samples[0, 0, 0] = 0.2
     views = np.tile([0.0, 0, 1], (2, 2, 1))
-    start = start_of_known_lamps(samples, samples >= 0, samples[0] >= 0, views, lamps)
+    start = start_of_known_lamps(samples, samples >= 0, samples[0, ..., 0] >= 0, views, lamps)
     np.testing.assert_allclose(np.linalg.norm(start.normals, axis=-1), 1)
     assert not solved(np.zeros((1, 4)), np.zeros((1, 4)), 0 * lamps).any()
