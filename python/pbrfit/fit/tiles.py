@@ -121,7 +121,22 @@ class _Subset:
     refinement: Refinement
     lighting: Array
     """(N, 16, 3) in picture units."""
-    nearest: _Nearest
+    window: Window
+    maps: Array
+    """Which pixels of the picture they are, and (h, w, 8): their materials and normals, those of
+    their nearest pixel that has some where one has none."""
+
+    def nearest(self, window: Window) -> tuple[Materials, Array]:
+        """Materials and normals (h, w, ...) of the subset at the pixels of another window."""
+        pairs = (window.rows, self.window.rows), (window.columns, self.window.columns)
+        places = [
+            np.rint((np.arange(here.start, here.stop) - there.start) / there.step).clip(
+                0, length - 1
+            )
+            for (here, there), length in zip(pairs, self.maps.shape[:2], strict=True)
+        ]
+        maps = self.maps[np.ix_(*(place.astype(np.intp) for place in places))]
+        return Materials(maps[..., :3], maps[..., 3], maps[..., 4]), maps[..., 5:]
 
 
 def _fit_subset(
@@ -150,8 +165,10 @@ def _fit_subset(
         began = time.perf_counter()
         state = replace(state, discrepancy=state.judged())
         run.unmeasured += time.perf_counter() - began
-    nearest = _Nearest(window, scene.valid, materials, np.asarray(run.scene.normals))
-    return _Subset(state, refinement, lighting, nearest)
+    maps = [materials.albedo, materials.roughness[..., None], materials.metallic[..., None]]
+    whole = np.concatenate([*maps, np.asarray(run.scene.normals)], axis=-1)
+    whole = whole[nearest_inside(window.of(scene.valid))]
+    return _Subset(state, refinement, lighting, window, whole)
 
 
 def _fit_tile(
@@ -168,7 +185,7 @@ def _fit_tile(
     make = partial(setup.objective, units=units)
     objective = make(part)
     run = Run(setup, part, objective, subset.state)
-    near, normals = subset.nearest.at(tile.outer)
+    near, normals = subset.nearest(tile.outer)
     x = objective.pack(near.albedo, near.roughness, near.metallic)
     objective.put_best_albedo(x, objective.everything)
     if run.out_of_time():
@@ -209,30 +226,3 @@ class _Maps:
         tile.inside.of(inside)[...] = True
         numbers = tile.inner.of(self._number)[tile.inner.of(self._valid)]
         self.spread.put(numbers.astype(np.intp), spread, inside[part.valid])
-
-
-class _Nearest:
-    """Materials and normals of a strided subset, looked up from anywhere in the picture.
-
-    Where the subset has none, those of its nearest pixel that has some are taken. `valid` (H, W)
-    are the pixels of the picture that are fitted.
-    """
-
-    def __init__(
-        self, subset: Window, valid: NDArray[np.bool_], materials: Materials, normals: Array
-    ) -> None:
-        self._subset = subset
-        maps = [materials.albedo, materials.roughness[..., None], materials.metallic[..., None]]
-        self._maps = np.concatenate([*maps, normals], axis=-1)[nearest_inside(subset.of(valid))]
-
-    def at(self, window: Window) -> tuple[Materials, Array]:
-        """Materials and normals (h, w, ...) of the pixels of a window."""
-        pairs = (window.rows, self._subset.rows), (window.columns, self._subset.columns)
-        places = [
-            np.rint((np.arange(here.start, here.stop) - there.start) / there.step).clip(
-                0, length - 1
-            )
-            for (here, there), length in zip(pairs, self._maps.shape[:2], strict=True)
-        ]
-        maps = self._maps[np.ix_(*(place.astype(np.intp) for place in places))]
-        return Materials(maps[..., :3], maps[..., 3], maps[..., 4]), maps[..., 5:]

@@ -50,7 +50,7 @@ from pbrfit.fit.settings import (
 )
 from pbrfit.fit.whole_picture import FitOutput
 from pbrfit.lazy import lazy
-from pbrfit.model.geometry import view_directions
+from pbrfit.model.geometry import views_at
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import chosen_model, whole_number
@@ -215,8 +215,7 @@ class LampFit:
         scene = self.scene
         fit = self.joint(some_places(scene))
         [band] = self._surfaces(fit, scene.valid)
-        given = self.normals(fit.matrix), self.model, self.setup.threads
-        pixels = LampPixels.of(scene.through(self.fov), *given, like=fit.pixels)
+        pixels = self._pixels(fit.matrix, like=fit.pixels)
         lamps = replace(fit.state.lamps, colors=fit.state.lamps.colors * fit.pixels.scale)
         roughness = {
             int(label): float(np.median(fit.prior.mean[fit.pixels.labels == label, 5]))
@@ -230,14 +229,19 @@ class LampFit:
             return np.asarray(self.scene.normals, np.float64)
         return turned(np.asarray(self.start.normals, np.float64), matrix)
 
+    def _pixels(
+        self, matrix: Array, places: NDArray[np.intp] | None = None, like: LampPixels | None = None
+    ) -> LampPixels:
+        """Pixels at places, or all, through the camera as it is; other arguments as above."""
+        given = self.normals(matrix), self.model, self.setup.threads, places
+        return LampPixels.of(self.scene.through(self.fov), *given, like=like)
+
     def _starts(
         self, places: NDArray[np.intp]
     ) -> tuple[LampPixels, list[tuple[str, Lamps, Array]]]:
         """Pixels at places, and named lamps with their albedos (P, 3)."""
         known = self.scene.lamps
-        seen = self.scene.through(self.fov)
-        given = self.normals(np.eye(3)), self.model, self.setup.threads
-        few = LampPixels.of(seen, *given, places)
+        few = self._pixels(np.eye(3), places)
         if known is not None and known.colored:
             usual = MEAN_RADIANCE / ALBEDO_MEAN / max(float(known.colors.mean()), 1e-12)
             lamps = replace(known, colors=known.colors * usual)
@@ -432,8 +436,8 @@ class LampFit:
 
     def _views(self, fov: float, places: NDArray[np.intp]) -> Array:
         """(P, 3): unit vectors to the camera at places of the picture."""
-        height, width = self.scene.valid.shape
-        return np.asarray(view_directions(height, width, fov).reshape(-1, 3)[places])
+        rows, columns = np.divmod(places, self.scene.width)
+        return views_at((self.scene.height, self.scene.width), fov, columns, rows)
 
     def _left_by_roughness(
         self,
@@ -545,10 +549,9 @@ class LampFit:
         uncertain = self._covariance(fit, known) if self.options.uncertainty else None
         places = np.flatnonzero(mask.ravel())
         albedo = _spread(fit.state.albedo, few.places, places, scene.width)
-        given = self.normals(fit.matrix), self.model, self.setup.threads
-        seen, found = scene.through(self.fov), []
+        found = []
         for band in surfaces.bands(mask):
-            pixels = LampPixels.of(seen, *given, places[band], like=few)
+            pixels = self._pixels(fit.matrix, places[band], few)
             sigma = self._offset_sigma(pixels.places)
             prior = of_labels(fit.prior, few, pixels, sigma)
             lit = self.lit_at(pixels)
