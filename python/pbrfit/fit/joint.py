@@ -32,7 +32,7 @@ from pbrfit.fit.misfit import variance
 from pbrfit.fit.normal_equations import as_in_x
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import Pixels, fit_all, place, taken, try_from
-from pbrfit.fit.preconditioner import Preconditioner, conjugate_gradients
+from pbrfit.fit.preconditioner import Solve, conjugate_gradients, preconditioner
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.sampling import evenly_spaced_over
 
@@ -47,7 +47,7 @@ class SharedFit:
 
     lights: LightPrior
     """For one pixel."""
-    inverse: Preconditioner | None = None
+    inverse: Solve | None = None
     """S⁻¹ v for S of one pixel, the preconditioner; None = not made yet."""
     size: int = 0
     """Of v."""
@@ -149,7 +149,7 @@ class JointFit:
         """Make it anew, from some pixels."""
         few, part, times, options = _sample(self, settings.COARSE_PIXELS)
         others = np.empty(0) if self.offsets is None else self._offset_precision.ravel()
-        self.shared.inverse = Preconditioner.of(few, part, times, self.lights, others, options)
+        self.shared.inverse = preconditioner(few, part, times, self.lights, others, options)
         self.shared.size = self.lights.mean.size + len(others)
         self.shared.stale = False
 
