@@ -46,7 +46,7 @@ from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import Pixels, pieces
 from pbrfit.fit.sampling import slices
 from pbrfit.fit.tails import StudentT, Tails, likeliest
-from pbrfit.io.limits import satisfied
+from pbrfit.io.limits import AT_LEAST, AT_MOST
 from pbrfit.threads import in_pieces
 
 Array = NDArray[np.float64]
@@ -176,6 +176,12 @@ class _Samples:
     def ordinary(self) -> NDArray[np.bool_]:
         """Which tell the radiance."""
         return self.used if self.limits is None else self.used & (self.limits == 0)
+
+
+def satisfied(limits: NDArray[np.uint8], excess: Array) -> NDArray[np.bool_]:
+    """Which samples are at a limit that a model, by its excess over them, is not inside of."""
+    above = (limits == AT_LEAST) & (excess >= 0)
+    return np.asarray(above | ((limits == AT_MOST) & (excess <= 0)))
 
 
 def _residuals(objective: Objective, pixels: Pixels, x: Array | None) -> Array:

@@ -19,12 +19,6 @@ _NO_PART = 1e-3
 """Share of a file's channel in a converted one up to which it has no part: rounding of profiles."""
 
 
-def satisfied(limits: Limits, excess: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which samples are at a limit that a model, by its excess over them, is not inside of."""
-    above = (limits == AT_LEAST) & (excess >= 0)
-    return np.asarray(above | ((limits == AT_MOST) & (excess <= 0)))
-
-
 def converted(limits: Limits, matrix: NDArray[np.float64] | None) -> Limits:
     """Limits (..., 3) of the colours that a matrix makes, from those of its channels.
 

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import _core
+from pbrfit.fit.noise import satisfied
 from pbrfit.fit.sampling import slices
 from pbrfit.fit.settings import MEAN_RADIANCE, PIXELS_AT_ONCE
-from pbrfit.io.limits import satisfied
 from pbrfit.model.geometry import positions, views_at
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import Model
