@@ -26,6 +26,7 @@ from pbrfit.fit.nuisances import Nuisances
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import fit_level, is_exact, retry_outliers
 from pbrfit.fit.priors.gaussian import GaussianPrior
+from pbrfit.fit.priors.population import METAL_SHARE
 from pbrfit.fit.priors.posterior import PURE_NODES
 from pbrfit.fit.run import Run
 from pbrfit.model.materials import Materials
@@ -178,8 +179,7 @@ def pure_prior(objective: Objective, x: Array, left: Misfit) -> GaussianPrior:
     labels = objective.layout.segments
     if labels is not None:
         evidence = np.where(labels > 0, np.bincount(labels, evidence)[labels], evidence)
-    share = settings.METAL_SHARE
-    is_metal = evidence + math.log(share / (1 - share)) > 0
+    is_metal = evidence + math.log(METAL_SHARE / (1 - METAL_SHARE)) > 0
     mean, precision = np.zeros((2, objective.pixels, 2))
     mean[:, 1], precision[:, 1] = is_metal, variance / settings.PURE_SIGMAS[1] ** 2
     if labels is not None:

@@ -373,11 +373,10 @@ NORMALS_PATCH_SIDE = 4
 PURE_ROUGHNESS_NODES = (0.05, 1.0, 20)
 PURE_EVIDENCE_MAX = 1.0
 PURE_SIGMAS = (0.1, 0.05)
-METAL_SHARE = 0.1
 """Among surroundings, where segments have about one roughness, and metallic 0 or 1: (lowest,
 highest, count) of the roughness that they are tried with; natural units of evidence that a pixel
 adds at most, four times as many against a roughness; standard deviations of a pixel's roughness and
-metallic around its segment's; the share of surfaces of bare metal before anything is seen."""
+metallic around its segment's."""
 
 TRANSPORT_WHOLE_PIXELS_MAX = WHOLE_PIXELS_MAX // 4
 """Pixels above which a scene that may have surroundings is fitted in tiles. Its tables take up to
