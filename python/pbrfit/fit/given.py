@@ -35,7 +35,7 @@ from numpy.typing import ArrayLike, NDArray
 from pbrfit.fit import settings
 from pbrfit.fit.lamps.given_normals import TINY
 from pbrfit.fit.lamps.outline import outline
-from pbrfit.fit.lamps.photometric import DARK, ROUNDS, pseudo_normals, solved
+from pbrfit.fit.lamps.photometric import DARK, ROUNDS, factors, pseudo_normals, solved
 from pbrfit.fit.lamps.problem import LampPixels
 from pbrfit.fit.lamps.samples import MATT_PIXELS, Samples, brightness, grey_samples
 from pbrfit.fit.left_out import patches_of
@@ -269,7 +269,6 @@ def _of_lamps(matt: _Matt) -> Contradiction | None:
 def _of_turns(matt: _Matt) -> Contradiction | None:
     """Of far lamps alone: by how likely surface and albedos are under lamps that are turned."""
     from pbrfit.fit.lamps.ambiguity import Places, albedo_cost, integrability_cost  # scipy.optimize
-    from pbrfit.fit.lamps.factorization import factors
     from pbrfit.fit.lamps.start import PLACES_MIN
     from pbrfit.fit.lamps.surface import strengths_along
 

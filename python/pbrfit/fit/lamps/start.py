@@ -1,8 +1,8 @@
 """The start of a fit with lamps: normals, albedo and lamps from pictures alone, taken as diffuse.
 
 Known lamps leave robust photometric stereo at each pixel (`photometric`). Unknown ones are found
-with the pseudo-normals, up to a matrix, by a factorisation (`factorization`); the matrix by all
-cues at once (`ambiguity`, `cues`). What no cue tells is named in `undetermined`.
+with the pseudo-normals, up to a matrix, by a factorisation; the matrix by all cues at once
+(`ambiguity`). What no cue tells is named in `undetermined`.
 """
 
 from __future__ import annotations
@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.fit.lamps.ambiguity import Minimum, Places, Relief, minima, unit_and_length
-from pbrfit.fit.lamps.factorization import Factors, factors
 from pbrfit.fit.lamps.outline import outline, rough_shape
-from pbrfit.fit.lamps.photometric import DARK, pseudo_normals
+from pbrfit.fit.lamps.photometric import DARK, Factors, factors, pseudo_normals
 from pbrfit.fit.lamps.samples import MATT_PIXELS, FirstShape, Samples, some_of
 from pbrfit.fit.lamps.surface import finished, strengths_along
 from pbrfit.model.geometry import angles_between

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from lamp_scenes import LampScene, around, ball, relief
-from pbrfit.fit.lamps.factorization import Factors, factors
 from pbrfit.fit.lamps.integrability import equations
 from pbrfit.fit.lamps.outline import outline
-from pbrfit.fit.lamps.photometric import DARK, pseudo_normals, weights_of
+from pbrfit.fit.lamps.photometric import DARK, Factors, factors, pseudo_normals, weights_of
 from pbrfit.fit.lamps.samples import brightness
 
 
