@@ -117,7 +117,7 @@ def choose(scene: Scene, setup: FitSetup, *, start_given: bool = False) -> Choic
     """
     told = start_given or setup.options.solver != "gauss-newton"
     compared = _Comparison(scene, setup, told=told)
-    contradicted = contradiction(scene, compared.reduced, setup.options.model)
+    contradicted = contradiction(scene, setup.options.model)
     return replace(compared.best(), contradiction=contradicted)
 
 
@@ -127,7 +127,11 @@ class _Comparison:
     def __init__(self, scene: Scene, setup: FitSetup, *, told: bool = False) -> None:
         self._scene, self._setup, self._options = scene, setup, setup.options
         self._model: Model = setup.options.model or scene.model or DEFAULT_MODEL
-        self._few = self.reduced = _reduced(scene)
+        # Pixels with normals stay as exact as they are; without, neighbours tell the shape.
+        if scene.normals_known:
+            self._few: Scene = cut(scene, strided_window(scene.valid, settings.COMPARE_PIXELS))
+        else:
+            self._few = without_shape(scene)
         pixels = int(np.count_nonzero(self._few.valid))
         shown = [
             np.count_nonzero((_weights(self._few, i) > 0).any(axis=-1))
@@ -737,13 +741,3 @@ def _folds(
     for fold in range(count):
         left = tuple(chosen[fold::count])
         yield tuple(i for i in range(pictures) if i not in left), left
-
-
-def _reduced(scene: Scene) -> Scene:
-    """A scene of few pixels: some of those with normals, which stay as exact as they are given.
-
-    Without normals, pictures are averaged down: neighbours tell the shape.
-    """
-    if scene.normals_known:
-        return cut(scene, strided_window(scene.valid, settings.COMPARE_PIXELS))
-    return without_shape(scene, settings.COMPARE_SIDE)

@@ -150,7 +150,9 @@ def _fit_subset(
     if options.time_limit is not None:
         options = replace(options, time_limit=options.time_limit / 2)
     if options.white is not None:
-        options = replace(options, white=window.place(*options.white))
+        (column, row, value), (rows, columns) = options.white, (window.rows, window.columns)
+        place = (column - columns.start) / columns.step, (row - rows.start) / rows.step
+        options = replace(options, white=(*place, value))
     if start is not None:
         materials, lights = start
         # As a whole, for a window of others may fit too.
