@@ -41,6 +41,7 @@ from pbrfit.fit.left_out import patches_of
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import fit_level
 from pbrfit.fit.scale import IRRADIANCE
+from pbrfit.fit.settings import COMPARE_PIXELS_MIN
 from pbrfit.fit.windows import cut, strided_window, without_shape
 from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.model.geometry import facing_away, view_directions
@@ -266,7 +267,6 @@ def _of_lamps(matt: _Matt) -> Contradiction | None:
 def _of_turns(matt: _Matt) -> Contradiction | None:
     """Of far lamps alone: by how likely surface and albedos are under lamps that are turned."""
     from pbrfit.fit.lamps.ambiguity import Places, albedo_cost, integrability_cost  # scipy.optimize
-    from pbrfit.fit.lamps.start import PLACES_MIN
     from pbrfit.fit.lamps.surface import strengths_along
 
     scene, data, views = matt.scene, matt.data, matt.scene.views
@@ -280,7 +280,7 @@ def _of_turns(matt: _Matt) -> Contradiction | None:
     wide = scene.fov_known and scene.fov > 0
     rays = views if wide else np.broadcast_to((0.0, 0.0, 1.0), views.shape)
     places = Places.of(data, rays, views, normals, lamps, outline(scene.valid, views))
-    if len(places.chosen) < PLACES_MIN:
+    if len(places.chosen) < COMPARE_PIXELS_MIN:
         return None
 
     def cost(turn: Array) -> float:

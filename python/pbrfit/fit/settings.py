@@ -229,7 +229,8 @@ COMPARE_SIDE = 64
 """Longer side in pixels of the averaged pictures that tell the shape where no normals are given."""
 
 COMPARE_PIXELS_MIN = 32
-"""Pixels from which on pictures are compared: fewer leave the 48 numbers of a light free."""
+"""Pixels from which on pictures are compared, and tell a bas-relief: fewer leave the 48 numbers of
+a light free, and each of the eight of the relief has fewer than four."""
 
 COMPARE_KEPT_MIN = 3
 """Pictures that have to be left to fit: three in colour are nine samples for the five unknowns of a

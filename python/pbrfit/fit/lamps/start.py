@@ -18,14 +18,11 @@ from pbrfit.fit.lamps.outline import outline, rough_shape
 from pbrfit.fit.lamps.photometric import DARK, Factors, factors, pseudo_normals
 from pbrfit.fit.lamps.samples import MATT_PIXELS, FirstShape, Samples, some_of
 from pbrfit.fit.lamps.surface import finished, strengths_along
+from pbrfit.fit.settings import COMPARE_PIXELS_MIN
 from pbrfit.model.geometry import angles_between
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-PLACES_MIN = 30
-"""Pixels with a pseudo-normal of their own below which cues say nothing: each of the eight unknowns
-would have fewer than four."""
 
 EQUALLY_LIKELY = 3.0
 """Difference of the negative log likelihood below which two minima are told to be undecided: odds
@@ -85,7 +82,7 @@ def start_of_unknown_lamps(
     lamps = product.lamps
     normals = pseudo_normals(data.relative, data.usable, lamps, data.threads)
     places = Places.of(data, rays, views, normals, lamps, edge)
-    if not places.integrability.blocks or len(places.chosen) < PLACES_MIN:
+    if not places.integrability.blocks or len(places.chosen) < COMPARE_PIXELS_MIN:
         return _start_of_few(data, views, product)
     rough = rough_shape(mask, views)[data.where][places.chosen] if len(edge) else None
     found = minima(places, rough)
