@@ -50,9 +50,9 @@ from pbrfit.fit.transport import Surrounded, search
 from pbrfit.fit.windows import cut, strided_window, without_shape
 from pbrfit.io.color import Curve
 from pbrfit.model.lamps import Lamps
-from pbrfit.model.reflection import DEFAULT_MODEL, Model, shade
+from pbrfit.model.reflection import shade
 from pbrfit.result.held_out import Candidate, HeldOut
-from pbrfit.result.options import FitOptions
+from pbrfit.result.options import FitOptions, Loss
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import one_blas_thread
 from pbrfit.transport.decision import NOT_TRIED, Kind, Transport
@@ -126,7 +126,6 @@ class _Comparison:
 
     def __init__(self, scene: Scene, setup: FitSetup, *, told: bool = False) -> None:
         self._scene, self._setup, self._options = scene, setup, setup.options
-        self._model: Model = setup.options.model or scene.model or DEFAULT_MODEL
         # Pixels with normals stay as exact as they are; without, neighbours tell the shape.
         if scene.normals_known:
             self._few: Scene = cut(scene, strided_window(scene.valid, settings.COMPARE_PIXELS))
@@ -164,24 +163,16 @@ class _Comparison:
             self._find_surroundings()
         lights, responses = self._lights(), self._responses()
         simplest = lights[-1] if self._scene.normals_known else lights[0]
-        loss = self._options.robust
-        strength = self._options.priors.material_strength
-        given = "none" if asked == "auto" else self._kind
-        first = Explanation(responses[0], simplest, strength, loss)
-        if simplest == "sh":
-            first = replace(first, surroundings=given)
+        loss, priors = self._options.robust, self._options.priors
+        strength, given = priors.material_strength, "none" if asked == "auto" else self._kind
+        under_lamps = Explanation(responses[0], simplest, strength, loss)
+        first = under_lamps if simplest == "lamps" else replace(under_lamps, surroundings=given)
         if not self._folds:
             return self._choice(None, first)
         # Light from all around first: where it leaves only noise, nothing is left to explain. It is
         # found as the paper has it, with neither priors nor weights of samples, which have to pay.
-        told = self._options.priors.material
-        plain = replace(
-            first,
-            material=0.0 if told is None else told,
-            robust="none" if loss == "auto" else loss,
-            surroundings=given,
-        )
-        under_lamps = replace(first, surroundings="none")
+        equal: Loss = "none" if loss == "auto" else loss
+        plain = replace(first, material=priors.material or 0.0, robust=equal, surroundings=given)
         kinds = [
             replace(plain if light == "sh" else under_lamps, response=response, light=light)
             for light in lights[::-1]
@@ -479,7 +470,7 @@ class _Comparison:
             if kind.surroundings != "none":
                 shown, lamp = self._explained_among(kind, fit, few, picture), None
             else:
-                shown, lamp = _explained(self._model, fit, few, picture, self._options.sh_order)
+                shown, lamp = _explained(self._setup, fit, few, picture)
             values.append(few.file_values(few.samples(picture).astype(np.float64)))
             errors.append(values[-1] - few.file_values(np.maximum(shown, 0.0)))
             untold = _weights(few, picture) == 0
@@ -560,7 +551,6 @@ class _Comparison:
         of_all = replace(
             self._options,
             iterations=FitOptions.iterations,
-            model=self._model,
             refine_normals="off",
             transport="none",
             uncertainty=False,
@@ -659,7 +649,7 @@ class _Comparison:
 
 
 def _explained(
-    model: Model, fit: _Fitted, scene: Scene, picture: int, sh_order: int
+    setup: FitSetup, fit: _Fitted, scene: Scene, picture: int
 ) -> tuple[Array, Lamps | None]:
     """(P, 3): radiance of a left-out picture as a fit explains it, its light alone fitted.
 
@@ -669,14 +659,14 @@ def _explained(
     told = _weights(scene, picture)
     slope = _slope(scene, samples)
     if fit.found is None:
-        rows = shade(fit.normals, fit.views, *fit.materials, model=model)
+        rows = shade(fit.normals, fit.views, *fit.materials, model=setup.model)
         if scene.lighting is not None:
             return np.einsum("pck,kc->pc", rows, scene.lighting[picture]), None
-        rows = rows[..., : (sh_order + 1) ** 2]
+        rows = rows[..., : (setup.options.sh_order + 1) ** 2]
         return _under_best_harmonics(scene, rows, samples, told), None
     weights = told * slope**2
     lamp, _, shown = light_of_picture(
-        samples, weights, fit.normals, fit.views, fit.materials, model
+        samples, weights, fit.normals, fit.views, fit.materials, setup.model
     )
     return shown, lamp
 
