@@ -34,15 +34,7 @@ from pbrfit.fit.lamps.estimator import LOOK_LAST, Found, LampFit, settled
 from pbrfit.fit.lamps.picture_light import light_of_picture
 from pbrfit.fit.lamps.samples import FirstShape
 from pbrfit.fit.lamps.shape import first_shape
-from pbrfit.fit.left_out import (
-    Explanation,
-    LeftOut,
-    LightKind,
-    between_channels,
-    mean_of_channels,
-    pairs_of,
-    patches_of,
-)
+from pbrfit.fit.left_out import Explanation, LeftOut, LightKind
 from pbrfit.fit.normals import refined_fit
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.run import FitSetup, Run, Trace
@@ -481,17 +473,13 @@ class _Comparison:
             rounding.append(float(np.mean(np.square(off))))
             if lamp is not None:
                 lamps.append(lamp)
-        of_errors = np.array(errors)
         return LeftOut(
             kind,
             self._numbers(kind),
-            mean_of_channels(of_errors),
-            between_channels(of_errors),
-            mean_of_channels(np.square(of_errors)),
-            mean_of_channels(np.square(np.array(values))),
+            np.array(errors),
+            np.array(values),
             np.array(rounding),
-            pairs_of(few.valid),
-            patches_of(few.valid),
+            few.valid,
             None if fit.found is None else self._of_all(fit.found, lamps, fold),
             fit.fov,
         )
