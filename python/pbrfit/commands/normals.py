@@ -18,7 +18,7 @@ from pbrfit.commands import arguments as cli
 from pbrfit.commands import network_options as network
 from pbrfit.commands.progress import fit_steps
 from pbrfit.commands.scene_options import DEPTH_KIND, STORED, field_of_view
-from pbrfit.fit.lamps.from_pictures import normals_from_pictures
+from pbrfit.fit.lamps.estimator import normals_from_pictures
 from pbrfit.model.materials import nearest_inside
 from pbrfit.scene import completion, known_lamps, reading
 from pbrfit.scene import folder as scene_folder

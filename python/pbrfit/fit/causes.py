@@ -1,4 +1,4 @@
-"""Why a map is no better, and what would help: the words beside a verdict.
+"""Words about a fit: why a map is no better, and what would help; what was left out.
 
 Of what may be wrong the first that holds is named, from what leaves least hope to what is mere
 noise. None of this changes a deviation.
@@ -15,7 +15,10 @@ from numpy.typing import NDArray
 
 from pbrfit.fit.discrepancy import Discrepancy
 from pbrfit.fit.independent_lights import Shown
+from pbrfit.fit.parameters import ParameterLayout
+from pbrfit.fit.priors.penalties import idle_priors
 from pbrfit.result.light_sides import main_directions, one_side
+from pbrfit.result.options import Priors, prior_names
 from pbrfit.result.verdict import Verdict, doubted
 from pbrfit.scene.arrays import CHANNELS
 from pbrfit.scene.scene import Scene
@@ -96,3 +99,51 @@ def _causes(
         lacks = "a depth map or better normals" if depth else "better normals"
         yield "the model does not explain what is in the pictures", lacks
     yield "noise hides the highlights", "more pictures, or longer exposures,"
+
+
+def left_out_words(
+    scene: Scene,
+    layout: ParameterLayout,
+    priors: Priors,
+    *,
+    uncertainty: bool = True,
+    lighting: Array | None = None,
+) -> Iterator[str]:
+    """What the scene did not need or the options ruled out, in words; `lighting` as above."""
+    masked = 0 if scene.mask is None else int(np.count_nonzero(~scene.mask))
+    if masked:
+        yield f"{masked} pixels outside the mask"
+    without = scene.valid.size - masked - layout.pixels
+    if without:
+        yield f"{without} pixels without a usable sample"
+    if scene.limits is not None:
+        counted = ... if scene.all_valid else scene.valid
+        exposed = sum(np.count_nonzero(of[counted]) for of in scene.limits)
+        yield f"{exposed:,} over- or underexposed values"
+    if scene.weights is not None:
+        single = int(np.count_nonzero(scene.weights[:, scene.valid] == 0))
+        if single:
+            yield f"{single} values of weight 0 at other pixels"
+    if layout.channels == 1:
+        yield "second and third colour channel: equal to the first"
+    elif layout.light_channels == 1 and layout.lighting is not None:
+        yield "colour of the lights: one light for all channels was asked for"
+    if layout.sh_order < 3:
+        known = scene.lighting is not None
+        why = "the known lights have none" if known else "order 2 was asked for"
+        yield f"band 3 of the lights: {why}"
+    if layout.metallic is None:
+        yield "metallic: given, so it was not fitted"
+    if layout.lighting is None:
+        yield "lights and their gradient: known, so only materials were fitted"
+    if priors == Priors.none():
+        yield "priors: none asked for"
+    else:
+        idle = idle_priors(layout, priors, lighting)
+        for name in prior_names():
+            if getattr(priors, name) == 0 and getattr(Priors(), name) != 0:
+                yield f"prior {name}: weight 0"
+            elif name in idle:
+                yield f"prior {name}: {idle[name]}"
+    if not uncertainty:
+        yield "uncertainty: not asked for"

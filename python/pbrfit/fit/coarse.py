@@ -3,7 +3,7 @@
 In a round each pixel by itself tries a grid of roughness and metallic under the lights so far, then
 joint steps move lights and materials (`joint`). What is left tells the noise of samples (`noise`),
 how far it is from independent noise (`misfit`), and by that how much the prior on lights weighs
-(`light_prior`). Normals (`normals.free`) and numbers of the camera (`nuisances`) may be free too.
+(`light_prior`). Normals (`normals.prior`) and numbers of the camera (`nuisances`) may be free too.
 """
 
 from __future__ import annotations
@@ -21,11 +21,13 @@ from pbrfit.fit.levels import Level
 from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.misfit import Misfit
 from pbrfit.fit.noise import NoiseModel, estimated
-from pbrfit.fit.normals.free import FreeNormals
+from pbrfit.fit.normals.prior import FreeNormals
 from pbrfit.fit.nuisances import Nuisances
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import fit_level, is_exact, retry_outliers
 from pbrfit.fit.priors.gaussian import GaussianPrior
+from pbrfit.fit.priors.population import METAL_SHARE
+from pbrfit.fit.priors.posterior import PURE_NODES
 from pbrfit.fit.run import Run
 from pbrfit.model.materials import Materials
 
@@ -79,7 +81,7 @@ def rounds(
         given = copy(objective)  # whose camera changes
         level = replace(level, objective=given)
     for number in range(at_most):
-        if number >= settings.WEIGHING_ROUND:
+        if number >= settings.EARLY_ROUNDS:
             level = replace(level, objective=_weighed(given, x, noise))
         objective, prior, fixed = level.objective, None, None
         if normals is not None:
@@ -109,7 +111,7 @@ def rounds(
             normals.learn(objective, x, fixed, left.variance)
         deviance = math.log(max(total / objective.total_weight, settings.NOISE_VARIANCE_MIN))
         # Before the camera moves, whose step pixels have to follow first.
-        if run.options.robust == "auto" and number >= settings.WEIGHING_ROUND - 1:
+        if run.options.robust == "auto" and number >= settings.EARLY_ROUNDS - 1:
             noise = estimated(objective, x)
             deviance = noise.deviance(given, x)
         if nuisances is not None:
@@ -117,7 +119,7 @@ def rounds(
             if given is not objective:
                 given.see(nuisances.scene)
         settled = (
-            number >= settings.WEIGHING_ROUND
+            number >= settings.EARLY_ROUNDS
             and weight >= settings.COARSE_WEIGHT_FALL * before
             and deviance > last - settings.COARSE_ROUND_GAIN_MIN
             and (normals is None or normals.is_settled(number))
@@ -145,7 +147,7 @@ def rounds(
 def dielectric_prior(objective: Objective, sum_sq: Array) -> GaussianPrior:
     """Around a dielectric of middle roughness, as strong as what is left of the pixels allows."""
     used = slice(len(objective.layout.roughness_metallic))
-    mean = np.tile([settings.START_ROUGHNESS, 0.0], (objective.pixels, 1))[:, used]
+    mean = np.tile([settings.START_MIDDLE, 0.0], (objective.pixels, 1))[:, used]
     precision = misfit.variance(objective, sum_sq) / settings.DIELECTRIC_SIGMA**2
     return GaussianPrior(mean, np.full(mean.shape, precision))
 
@@ -162,7 +164,7 @@ def pure_prior(objective: Objective, x: Array, left: Misfit) -> GaussianPrior:
     """
     nodes = np.linspace(*settings.PURE_ROUGHNESS_NODES)
     grid = objective.problem.material_grid(
-        objective.for_core(x), objective.everything, nodes, np.array([0.0, 1.0])
+        objective.for_core(x), objective.everything, nodes, PURE_NODES
     ).astype(np.float64)
     best = grid.min(axis=(1, 2))
     variance = misfit.variance(objective, best)
@@ -173,8 +175,7 @@ def pure_prior(objective: Objective, x: Array, left: Misfit) -> GaussianPrior:
     labels = objective.layout.segments
     if labels is not None:
         evidence = np.where(labels > 0, np.bincount(labels, evidence)[labels], evidence)
-    share = settings.METAL_SHARE
-    is_metal = evidence + math.log(share / (1 - share)) > 0
+    is_metal = evidence + math.log(METAL_SHARE / (1 - METAL_SHARE)) > 0
     mean, precision = np.zeros((2, objective.pixels, 2))
     mean[:, 1], precision[:, 1] = is_metal, variance / settings.PURE_SIGMAS[1] ** 2
     if labels is not None:

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import logging
 import math
-import time
 from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
@@ -31,29 +30,21 @@ from pbrfit.fit import settings
 from pbrfit.fit.coarse import Lights
 from pbrfit.fit.estimator import fit_materials, lights_and_noise
 from pbrfit.fit.given import Contradiction, contradiction
-from pbrfit.fit.lamps.estimator import Found, LampFit, settled
+from pbrfit.fit.lamps.estimator import LOOK_LAST, Found, LampFit, settled
 from pbrfit.fit.lamps.picture_light import light_of_picture
 from pbrfit.fit.lamps.samples import FirstShape
 from pbrfit.fit.lamps.shape import first_shape
-from pbrfit.fit.left_out import (
-    Explanation,
-    LeftOut,
-    LightKind,
-    between_channels,
-    mean_of_channels,
-    pairs_of,
-    patches_of,
-)
+from pbrfit.fit.left_out import Explanation, LeftOut, LightKind
 from pbrfit.fit.normals import refined_fit
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.run import FitSetup, Run
-from pbrfit.fit.tiles.windows import cut, strided_window, without_shape
+from pbrfit.fit.run import FitSetup, Run, Trace
 from pbrfit.fit.transport import Surrounded, search
+from pbrfit.fit.windows import cut, strided_window, without_shape
 from pbrfit.io.color import Curve
 from pbrfit.model.lamps import Lamps
-from pbrfit.model.reflection import DEFAULT_MODEL, Model, shade
+from pbrfit.model.reflection import shade
 from pbrfit.result.held_out import Candidate, HeldOut
-from pbrfit.result.options import FitOptions
+from pbrfit.result.options import FitOptions, Loss
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import one_blas_thread
 from pbrfit.transport.decision import NOT_TRIED, Kind, Transport
@@ -118,7 +109,7 @@ def choose(scene: Scene, setup: FitSetup, *, start_given: bool = False) -> Choic
     """
     told = start_given or setup.options.solver != "gauss-newton"
     compared = _Comparison(scene, setup, told=told)
-    contradicted = contradiction(scene, compared.reduced, setup.options.model)
+    contradicted = contradiction(scene, setup.options.model)
     return replace(compared.best(), contradiction=contradicted)
 
 
@@ -127,8 +118,11 @@ class _Comparison:
 
     def __init__(self, scene: Scene, setup: FitSetup, *, told: bool = False) -> None:
         self._scene, self._setup, self._options = scene, setup, setup.options
-        self._model: Model = setup.options.model or scene.model or DEFAULT_MODEL
-        self._few = self.reduced = _reduced(scene)
+        # Pixels with normals stay as exact as they are; without, neighbours tell the shape.
+        if scene.normals_known:
+            self._few: Scene = cut(scene, strided_window(scene.valid, settings.COMPARE_PIXELS))
+        else:
+            self._few = without_shape(scene)
         pixels = int(np.count_nonzero(self._few.valid))
         shown = [
             np.count_nonzero((_weights(self._few, i) > 0).any(axis=-1))
@@ -153,6 +147,7 @@ class _Comparison:
         self._no_surroundings = self._without_surroundings()
         self._transfer: PixelTransfer | None = None
         """Of the pixels that are compared, with all pictures."""
+        self._is_late = Trace(self._setup_with()).out_of_time
 
     def best(self) -> Choice:
         """The explanation of those that a scene can need."""
@@ -161,24 +156,16 @@ class _Comparison:
             self._find_surroundings()
         lights, responses = self._lights(), self._responses()
         simplest = lights[-1] if self._scene.normals_known else lights[0]
-        loss = self._options.robust
-        strength = self._options.priors.material_strength
-        given = "none" if asked == "auto" else self._kind
-        first = Explanation(responses[0], simplest, strength, loss)
-        if simplest == "sh":
-            first = replace(first, surroundings=given)
+        loss, priors = self._options.robust, self._options.priors
+        strength, given = priors.material_strength, "none" if asked == "auto" else self._kind
+        under_lamps = Explanation(responses[0], simplest, strength, loss)
+        first = under_lamps if simplest == "lamps" else replace(under_lamps, surroundings=given)
         if not self._folds:
             return self._choice(None, first)
         # Light from all around first: where it leaves only noise, nothing is left to explain. It is
         # found as the paper has it, with neither priors nor weights of samples, which have to pay.
-        told = self._options.priors.material
-        plain = replace(
-            first,
-            material=0.0 if told is None else told,
-            robust="none" if loss == "auto" else loss,
-            surroundings=given,
-        )
-        under_lamps = replace(first, surroundings="none")
+        equal: Loss = "none" if loss == "auto" else loss
+        plain = replace(first, material=priors.material or 0.0, robust=equal, surroundings=given)
         kinds = [
             replace(plain if light == "sh" else under_lamps, response=response, light=light)
             for light in lights[::-1]
@@ -326,7 +313,7 @@ class _Comparison:
             if not results:
                 break
             best = min(results, key=SCORE)
-            errors = settings.COMPARE_DROPPED_ERRORS
+            errors = 2 * settings.COMPARE_ERRORS_MIN
             kinds = [one.explanation for one in results if not one.is_worse(best, errors)]
             if len(kinds) == 1:
                 break
@@ -343,17 +330,6 @@ class _Comparison:
             LeftOut.together([one.without(none) for one, none in zip(of, hot, strict=False)])
             for of in tried
         ]
-
-    @property
-    def _limit(self) -> float | None:
-        """Half of the time limit: the other half is for the fit of all pixels."""
-        limit = self._options.time_limit
-        return None if limit is None else limit / 2
-
-    def _is_late(self) -> bool:
-        """Whether the time for comparing is over."""
-        limit = self._limit
-        return limit is not None and time.perf_counter() - self._setup.began >= limit
 
     def _lights(self) -> tuple[LightKind, ...]:
         scene, options = self._scene, self._options
@@ -487,7 +463,7 @@ class _Comparison:
             if kind.surroundings != "none":
                 shown, lamp = self._explained_among(kind, fit, few, picture), None
             else:
-                shown, lamp = _explained(self._model, fit, few, picture, self._options.sh_order)
+                shown, lamp = _explained(self._setup, fit, few, picture)
             values.append(few.file_values(few.samples(picture).astype(np.float64)))
             errors.append(values[-1] - few.file_values(np.maximum(shown, 0.0)))
             untold = _weights(few, picture) == 0
@@ -498,17 +474,13 @@ class _Comparison:
             rounding.append(float(np.mean(np.square(off))))
             if lamp is not None:
                 lamps.append(lamp)
-        of_errors = np.array(errors)
         return LeftOut(
             kind,
             self._numbers(kind),
-            mean_of_channels(of_errors),
-            between_channels(of_errors),
-            mean_of_channels(np.square(of_errors)),
-            mean_of_channels(np.square(np.array(values))),
+            np.array(errors),
+            np.array(values),
             np.array(rounding),
-            pairs_of(few.valid),
-            patches_of(few.valid),
+            few.valid,
             None if fit.found is None else self._of_all(fit.found, lamps, fold),
             fit.fov,
         )
@@ -560,15 +532,18 @@ class _Comparison:
         return self._shapes[response, number]
 
     def _setup_with(self, **options: Any) -> FitSetup:
-        """That of a fit that is compared: maps alone, with some options in place of the given."""
+        """That of a fit that is compared: maps alone, with some options in place of the given.
+
+        It has half of the time limit: the other half is for the fit of all pixels.
+        """
+        limit = self._options.time_limit
         of_all = replace(
             self._options,
             iterations=FitOptions.iterations,
-            model=self._model,
             refine_normals="off",
             transport="none",
             uncertainty=False,
-            time_limit=self._limit,
+            time_limit=None if limit is None else limit / 2,
             **options,
         )
         return replace(self._setup, options=of_all, progress=None)
@@ -632,7 +607,7 @@ class _Comparison:
         return run, replace(lights, x=lights.x.copy(), shared=copy(lights.shared))
 
     def _under_lamps(self, scene: Scene, shape: FirstShape | None) -> _Fitted:
-        fit = LampFit(scene, self._setup_with(), shape, rounds=settings.COMPARE_LAMP_ROUNDS)
+        fit = LampFit(scene, self._setup_with(), shape, rounds=LOOK_LAST)
         pixels, state, found = fit.of_all_pixels()
         return _Fitted(
             (state.albedo, state.roughness, state.metallic),
@@ -675,7 +650,7 @@ class _Comparison:
 
 
 def _explained(
-    model: Model, fit: _Fitted, scene: Scene, picture: int, sh_order: int
+    setup: FitSetup, fit: _Fitted, scene: Scene, picture: int
 ) -> tuple[Array, Lamps | None]:
     """(P, 3): radiance of a left-out picture as a fit explains it, its light alone fitted.
 
@@ -685,14 +660,14 @@ def _explained(
     told = _weights(scene, picture)
     slope = _slope(scene, samples)
     if fit.found is None:
-        rows = shade(fit.normals, fit.views, *fit.materials, model=model)
+        rows = shade(fit.normals, fit.views, *fit.materials, model=setup.model)
         if scene.lighting is not None:
             return np.einsum("pck,kc->pc", rows, scene.lighting[picture]), None
-        rows = rows[..., : (sh_order + 1) ** 2]
+        rows = rows[..., : (setup.options.sh_order + 1) ** 2]
         return _under_best_harmonics(scene, rows, samples, told), None
     weights = told * slope**2
     lamp, _, shown = light_of_picture(
-        samples, weights, fit.normals, fit.views, fit.materials, model
+        samples, weights, fit.normals, fit.views, fit.materials, setup.model
     )
     return shown, lamp
 
@@ -757,13 +732,3 @@ def _folds(
     for fold in range(count):
         left = tuple(chosen[fold::count])
         yield tuple(i for i in range(pictures) if i not in left), left
-
-
-def _reduced(scene: Scene) -> Scene:
-    """A scene of few pixels: some of those with normals, which stay as exact as they are given.
-
-    Without normals, pictures are averaged down: neighbours tell the shape.
-    """
-    if scene.normals_known:
-        return cut(scene, strided_window(scene.valid, settings.COMPARE_PIXELS))
-    return without_shape(scene, settings.COMPARE_SIDE)

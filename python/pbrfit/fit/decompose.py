@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 
 from pbrfit import address_space
 from pbrfit._core import InputError
-from pbrfit.fit import memory, plan
-from pbrfit.fit.bar import notebook_bar
-from pbrfit.fit.causes import with_causes
-from pbrfit.fit.run import FitSetup, Progress, Trace, material_errors
+from pbrfit.fit import memory
+from pbrfit.fit.causes import left_out_words, with_causes
+from pbrfit.fit.run import FitSetup, Progress, Trace, material_errors, notebook_bar
 from pbrfit.fit.sampling import slices
 from pbrfit.fit.scale import checked_white
 from pbrfit.fit.tiles import fit_tiles
@@ -220,7 +219,7 @@ def _result(
     found = replace(found, camera=camera)
     threads, model = setup.threads, setup.model
     left_out = tuple(
-        plan.left_out(
+        left_out_words(
             scene,
             setup.layout(scene),
             options.priors,

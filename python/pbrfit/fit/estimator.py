@@ -27,13 +27,12 @@ from pbrfit.fit.coarse import Lights, Watch, judged, left_of, rounds
 from pbrfit.fit.joint import minimize
 from pbrfit.fit.levels import Level
 from pbrfit.fit.misfit import Misfit
-from pbrfit.fit.nuisances import FIELD_OF_VIEW, RESPONSE, Nuisance, Nuisances
+from pbrfit.fit.nuisances import Nuisances
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import NODE_SPACING, fit_all, is_exact, retry_outliers
-from pbrfit.fit.plan import chosen_priors
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.mixture import fit_prior, with_lights
-from pbrfit.fit.priors.penalties import Monochrome, penalties
+from pbrfit.fit.priors.penalties import Monochrome, chosen_priors, penalties
 from pbrfit.fit.run import Run, State
 from pbrfit.result.data import Status
 
@@ -124,18 +123,15 @@ def find_lights(run: Run, x: Array) -> Lights:
         level = Level.of(objective, settings.COARSE_PIXELS)
         known = "lights known; " if objective.lighting is None else ""
         notes.append(f"{known}{len(level.pixels)} pixels")
-        unknown: list[Nuisance] = []
-        if objective.transfer is None:
-            if run.camera.how == "assumed":
-                unknown.append(FIELD_OF_VIEW)
-            if run.options.response == "fit" and run.scene.correction is None:
-                unknown += RESPONSE
-        if known and not unknown:
+        is_open = objective.transfer is None
+        fov = is_open and run.camera.how == "assumed"
+        response = is_open and run.options.response == "fit" and run.scene.correction is None
+        if known and not (fov or response):
             return judged(objective, x, level, run)
         x = x.copy()
         best = None
         for dielectric in _starts(objective):
-            nuisances = Nuisances(run.scene, unknown) if unknown else None
+            nuisances = Nuisances(run.scene, fov, response) if fov or response else None
             part = objective.part_of(x, level.pixels)
             found = rounds(run, level, part, x, dielectric=dielectric, nuisances=nuisances)
             if best is None or found.deviance < best[0].deviance:
@@ -157,7 +153,7 @@ def _starts(objective: Objective) -> list[int]:
 
     Where pictures are few, other lights with other materials explain them nearly as well.
     """
-    layout, second = objective.layout, settings.DIELECTRIC_ROUNDS
+    layout, second = objective.layout, settings.EARLY_ROUNDS
     if objective.transfer is not None:
         return [second]
     samples = layout.channels * layout.pictures * layout.pixels

@@ -32,17 +32,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pbrfit.fit import settings
 from pbrfit.fit.lamps.given_normals import TINY
 from pbrfit.fit.lamps.outline import outline
-from pbrfit.fit.lamps.photometric import DARK, ROUNDS, pseudo_normals, solved
+from pbrfit.fit.lamps.photometric import DARK, ROUNDS, factors, pseudo_normals, solved
 from pbrfit.fit.lamps.problem import LampPixels
-from pbrfit.fit.lamps.samples import Samples, brightness, grey_samples
+from pbrfit.fit.lamps.samples import MATT_PIXELS, Samples, brightness, grey_samples
 from pbrfit.fit.left_out import patches_of
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import fit_level
 from pbrfit.fit.scale import IRRADIANCE
-from pbrfit.fit.tiles.windows import cut, strided_window, without_shape
+from pbrfit.fit.settings import COMPARE_PIXELS_MIN
+from pbrfit.fit.windows import cut, strided_window, without_shape
 from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.model.geometry import facing_away, view_directions
 from pbrfit.model.lamps import Lamps
@@ -60,9 +60,6 @@ in one scene of 120. Bound on the probability that by chance some turn of lamps 
 
 GAIN_MIN = 0.05
 """Share by which an alternative has to lower what lamps leave: fits end within a hundredth."""
-
-PIXELS = 4000
-"""At which lamps beside given normals, and segments, are looked at: 60 in each patch."""
 
 SIDE = 128
 """Longer side in pixels that given normals are averaged down to, which evens out 8 bits' steps."""
@@ -98,17 +95,15 @@ class Contradiction:
         return f"{self.why}; try {self.remedy}"
 
 
-def contradiction(
-    scene: Scene, averaged: Scene | None = None, model: Model | None = None
-) -> Contradiction | None:
+def contradiction(scene: Scene, model: Model | None = None) -> Contradiction | None:
     """What is contradicted of a scene's normals, lights, depth and segments: one, or nothing.
 
     Lamps are looked at where there is one in each picture; without normals, where there are four or
-    more, far away: three fit any normal. `averaged` is such a scene as `without_shape` gives it.
-    Known lights are reflected by `model`, else by that of the pictures.
+    more, far away: three fit any normal. Known lights are reflected by `model`, else by that of the
+    pictures.
     """
     return (
-        _of_normals_and_lights(scene, averaged)
+        _of_normals_and_lights(scene)
         or _of_strength(scene, model)
         or _of_depth(scene)
         or _of_segments(scene)
@@ -119,7 +114,7 @@ def _of_strength(scene: Scene, model: Model | None) -> Contradiction | None:
     lights = scene.lighting
     if lights is None or not scene.normals_known:
         return None
-    few = cut(scene, strided_window(scene.valid, PIXELS))
+    few = cut(scene, strided_window(scene.valid, MATT_PIXELS))
     patches = patches_of(few.valid)
 
     def left(times: float) -> Array:
@@ -149,7 +144,7 @@ def _of_segments(scene: Scene) -> Contradiction | None:
     """Of one material colours are alike: mirrored segments may not leave less of their means."""
     if scene.segments is None:
         return None
-    window = strided_window(scene.valid, PIXELS)
+    window = strided_window(scene.valid, MATT_PIXELS)
     few = cut(scene, window)
     colors = np.mean([few.samples(i) for i in range(len(few.images))], axis=0, dtype=np.float64)
     colors = np.log(np.maximum(colors, TINY + 0.01 * colors.mean()))
@@ -171,14 +166,14 @@ def _of_segments(scene: Scene) -> Contradiction | None:
     return Contradiction("segments", said, "the segments of this picture")
 
 
-def _of_normals_and_lights(scene: Scene, averaged: Scene | None) -> Contradiction | None:
+def _of_normals_and_lights(scene: Scene) -> Contradiction | None:
     lamps = scene.lamps
     if lamps is not None and not np.array_equal(lamps.pictures, np.arange(len(scene.images))):
         lamps = None
     if not scene.normals_known:
         if lamps is None or lamps.near.any() or len(lamps) < 4:
             return None
-        return _of_lamps(_Matt(averaged or without_shape(scene, settings.COMPARE_SIDE)))
+        return _of_lamps(_Matt(without_shape(scene)))
     away = facing_away(scene.normals[scene.valid], scene.views[scene.valid]).mean()
     if away > AWAY_MAX:
         said = f"{100 * away:.0f} % of the normals face away from the camera"
@@ -188,7 +183,7 @@ def _of_normals_and_lights(scene: Scene, averaged: Scene | None) -> Contradictio
     flipped = _surely_best(surface.votes(normals), surface.flips(normals))
     found = None if flipped is None else _turned(flipped, OF_A_SURFACE, "normals")
     if scene.lighting is not None or lamps is not None:
-        matt = _Matt(cut(scene, strided_window(scene.valid, PIXELS)))
+        matt = _Matt(cut(scene, strided_window(scene.valid, MATT_PIXELS)))
         if lamps is None or matt.pixels.points is not None or not lamps.near.any():
             found = _of_lights_and_normals(matt, flipped) or found
     return found
@@ -272,8 +267,6 @@ def _of_lamps(matt: _Matt) -> Contradiction | None:
 def _of_turns(matt: _Matt) -> Contradiction | None:
     """Of far lamps alone: by how likely surface and albedos are under lamps that are turned."""
     from pbrfit.fit.lamps.ambiguity import Places, albedo_cost, integrability_cost  # scipy.optimize
-    from pbrfit.fit.lamps.factorization import factors
-    from pbrfit.fit.lamps.start import PLACES_MIN
     from pbrfit.fit.lamps.surface import strengths_along
 
     scene, data, views = matt.scene, matt.data, matt.scene.views
@@ -287,7 +280,7 @@ def _of_turns(matt: _Matt) -> Contradiction | None:
     wide = scene.fov_known and scene.fov > 0
     rays = views if wide else np.broadcast_to((0.0, 0.0, 1.0), views.shape)
     places = Places.of(data, rays, views, normals, lamps, outline(scene.valid, views))
-    if len(places.chosen) < PLACES_MIN:
+    if len(places.chosen) < COMPARE_PIXELS_MIN:
         return None
 
     def cost(turn: Array) -> float:

@@ -7,10 +7,10 @@ those by the lights, and both with the priors' rows, pixels are solved for first
     S = Σ_p Bᵀ (1 − J (JᵀJ)⁻¹ Jᵀ) B + Q        s = Σ_p Bᵀ (1 − J (JᵀJ)⁻¹ Jᵀ) r + Q (L − μ)
 
 with the prior on lights Q. S δ = −s is solved by conjugate gradients. What makes them few is a
-preconditioner (`pbrfit.fit.preconditioner`), S itself of some of the pixels. For M lights and each
-row of J it costs M² a pixel, of which half is multiplied; a product costs 2 M. So one of p of P
-pixels is worth p M / 4 P products, and is made anew when so many have been made: at most twice of
-what is needed is spent, however long it serves (the ski rental problem). After each step every
+preconditioner (`pbrfit.fit.preconditioner`), which solves a system of M' unknowns by some of the
+pixels. A pixel and row of J costs it M'²/2, and a product for M lights 2 M. So one of p of P pixels
+is worth p M'²/(4 P M) products, and is made anew when so many have been made: at most twice of what
+is needed is spent, however long it serves (the ski rental problem). After each step every
 pixel descends by itself under its new lights, and those that are worse off start again.
 
 Offsets that clusters of pixels share in a prior are shared unknowns like the lights: without them
@@ -34,7 +34,7 @@ from pbrfit.fit.misfit import variance
 from pbrfit.fit.normal_equations import as_in_x
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import Pixels, fit_all, place, taken, try_from
-from pbrfit.fit.preconditioner import Preconditioner, conjugate_gradients
+from pbrfit.fit.preconditioner import Solve, conjugate_gradients, preconditioner
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.sampling import evenly_spaced_over
 
@@ -49,7 +49,7 @@ class SharedFit:
 
     lights: LightPrior
     """For one pixel."""
-    inverse: Preconditioner | None = None
+    inverse: Solve | None = None
     """S⁻¹ v for S of one pixel, the preconditioner; None = not made yet."""
     size: int = 0
     """Of v."""
@@ -157,11 +157,11 @@ class JointFit:
 
     def renew_preconditioner(self) -> None:
         """Make it anew, from some pixels."""
-        few, part, times, options = _sample(self, settings.PRECONDITIONER_PIXELS)
+        few, part, times, options = _sample(self, settings.COARSE_PIXELS)
         others = np.empty(0) if self.offsets is None else self._offset_precision.ravel()
-        self.shared.inverse = Preconditioner.of(few, part, times, self.lights, others, options)
-        self.shared.size = self.size
-        self.shared.worth = self.size / 4 * few.pixels / self.objective.pixels
+        made, factored = preconditioner(few, part, times, self.lights, others, options)
+        self.shared.inverse, self.shared.size = made, self.size
+        self.shared.worth = factored**2 * few.pixels / (4 * self.size * self.objective.pixels)
         self.shared.spent = 0
 
     def _system(self) -> tuple[Array, Callable[[Array], Array]]:

@@ -18,7 +18,8 @@ def staged(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array
 
     The last is empty unless the state is one from before the last restart.
     """
-    iterations = (settings.DATA_SHARE_OF_ITERATIONS if run.has_mixture_prior else 1.0) * run.left
+    # Half of them are for the mixture prior, which is fitted around where data alone lead.
+    iterations = run.left / 2 if run.has_mixture_prior else run.left
     stages = settings.LBFGS_STAGES[-1:] if start_given else settings.LBFGS_STAGES
     best = loss, x
     trapped = False
@@ -31,7 +32,7 @@ def staged(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array
             x = x.copy()
             roughness = x[run.objective.roughness]
             at_bound = roughness <= settings.TRAP_ROUGHNESS + settings.TRAPPED_MARGIN
-            roughness[at_bound] = settings.START_ROUGHNESS
+            roughness[at_bound] = settings.START_MIDDLE
         loss, x = by_scipy(run, x, left, lowest_roughness)
         trapped = lowest_roughness > 0
         # A restart raises the loss at first, and time may run out before it pays.

@@ -26,14 +26,12 @@ from pbrfit.fit import settings
 from pbrfit.fit.lamps.estimator import Found
 from pbrfit.fit.sampling import pairs_apart, pixel_index
 from pbrfit.io.color import Curve
+from pbrfit.lazy import lazy
 from pbrfit.result.options import Loss
 from pbrfit.transport.decision import Kind
 
 Array = NDArray[np.float64]
 LightKind = Literal["sh", "lamps"]
-
-OF_PIXELS = ("errors", "between", "squares", "sizes")
-"""Fields of `LeftOut` by picture and pixel."""
 
 
 @dataclass(frozen=True)
@@ -80,20 +78,12 @@ class LeftOut:
     numbers: int
     """How many a picture's light has, that were fitted to it."""
     errors: Array
-    """(M, P): of the files' values, their mean over the channels; NaN where nothing is told."""
-    between: Array
-    """(M, P): product of two channels' errors, in the mean over the pairs. Grey pictures, whose
-    channels are one, do not tell noise from anything else."""
-    squares: Array
-    """(M, P): squared error, in the mean over the channels, likewise."""
-    sizes: Array
-    """(M, P): squares of the values themselves, likewise."""
+    values: Array
+    """(M, P, 3) each: of the files' values, and these; NaN where nothing is told."""
     rounding: Array
     """(M,): variance of what files did to the values, as far as it is known; else 0."""
-    beside: NDArray[np.intp]
-    """(R, 2): pairs of neighbouring pixels."""
-    patches: NDArray[np.intp]
-    """(P,)."""
+    valid: NDArray[np.bool_]
+    """(H, W): where the P pixels are."""
     found: Found | None = None
     """Of a fit under far lamps: with those of all pictures."""
     fov: tuple[float, float] | None = None
@@ -102,16 +92,22 @@ class LeftOut:
     @classmethod
     def together(cls, folds: Sequence[LeftOut]) -> LeftOut:
         """Several folds of one explanation."""
-        names = (*OF_PIXELS, "rounding")
+        names = ("errors", "values", "rounding")
         of_all: dict[str, Any] = {
             name: np.concatenate([getattr(one, name) for one in folds]) for name in names
         }
         return replace(folds[0], **of_all)
 
+    @lazy
+    def squares(self) -> Array:
+        """(M, P): squared error, in the mean over the channels."""
+        return mean_of_channels(np.square(self.errors))
+
     @property
     def error(self) -> float:
         """Relative root mean square error of the pictures, their geometric mean."""
-        sizes = np.log(np.maximum(np.nanmean(self.sizes, axis=1), settings.NOISE_VARIANCE_MIN))
+        sizes = np.nanmean(mean_of_channels(np.square(self.values)), axis=1)
+        sizes = np.log(np.maximum(sizes, settings.NOISE_VARIANCE_MIN))
         return float(np.exp(0.5 * (np.log(self.means) - sizes).mean()))
 
     @property
@@ -150,10 +146,14 @@ class LeftOut:
         product of their errors, over the mean square, is about its share, with a standard error of
         1/√R by R products of independent errors.
         """
-        one, other = (self.errors[:, self.beside[:, k]] for k in (0, 1))
-        square = np.maximum(np.nanmean(np.square(self.errors), axis=1), settings.NOISE_VARIANCE_MIN)
-        shares = _share(one * other / square[:, None]), _share(self.between / self.means[:, None])
-        return max(shares)
+        errors = mean_of_channels(self.errors)
+        beside = np.concatenate(pairs_apart(pixel_index(self.valid)), axis=1)
+        one, other = (errors[:, of] for of in beside)
+        square = np.maximum(np.nanmean(np.square(errors), axis=1), settings.NOISE_VARIANCE_MIN)
+        # Grey pictures, whose channels are one, do not tell noise from anything else.
+        red, green, blue = np.moveaxis(self.errors, -1, 0)
+        between = (red * green + green * blue + blue * red) / 3 / self.means[:, None]
+        return max(_share(one * other / square[:, None]), _share(between))
 
     @property
     def is_hot(self) -> NDArray[np.bool_]:
@@ -163,8 +163,8 @@ class LeftOut:
 
     def without(self, hot: NDArray[np.bool_]) -> LeftOut:
         """As if some pixels (M, P) told nothing."""
-        told: Any = {name: np.where(hot, np.nan, getattr(self, name)) for name in OF_PIXELS}
-        return replace(self, **told)
+        errors, values = (np.where(hot[..., None], np.nan, of) for of in (self.errors, self.values))
+        return replace(self, errors=errors, values=values)
 
     def is_worse(self, best: LeftOut, errors: float) -> bool:
         """Whether its score is higher by more than so many standard errors of the difference.
@@ -174,8 +174,8 @@ class LeftOut:
         """
         shares = [one.squares / one.means[:, None] for one in (self, best)]
         difference = np.nan_to_num(shares[0] - shares[1])
-        count = int(self.patches.max()) + 1
-        sums = np.array([np.bincount(self.patches, row, count) for row in difference])
+        patches = patches_of(self.valid)
+        sums = np.array([np.bincount(patches, row) for row in difference])
         sums /= difference.size
         error = float(np.sqrt(np.square(sums - sums.mean()).sum()))
         return self.score - best.score > errors * error
@@ -189,22 +189,11 @@ def patches_of(valid: NDArray[np.bool_]) -> NDArray[np.intp]:
     return np.asarray(np.unique(numbers, return_inverse=True)[1], np.intp)
 
 
-def pairs_of(valid: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """(R, 2): pairs of valid pixels beside or below each other."""
-    return np.concatenate(pairs_apart(pixel_index(valid)), axis=1).T
-
-
 def mean_of_channels(values: Array) -> Array:
     """(M, P): mean over the channels that tell something; NaN without any."""
     told = np.isfinite(values)
     sums, count = np.where(told, values, 0.0).sum(axis=-1), told.sum(axis=-1)
     return np.where(count > 0, sums / np.maximum(count, 1), np.nan)
-
-
-def between_channels(errors: Array) -> Array:
-    """(M, P): mean product of two channels' errors (M, P, 3); NaN where one tells nothing."""
-    red, green, blue = np.moveaxis(errors, -1, 0)
-    return np.asarray((red * green + green * blue + blue * red) / 3)
 
 
 def _share(products: Array) -> float:

@@ -14,6 +14,7 @@ from pbrfit import address_space
 from pbrfit._core import InputError
 from pbrfit.fit import settings
 from pbrfit.fit.parameters import ParameterLayout
+from pbrfit.model.lighting import BAND_OF
 from pbrfit.model.reflection import DEFAULT_MODEL, Model
 from pbrfit.result.options import Solver, TransportChoice
 from pbrfit.scene.scene import Scene
@@ -34,7 +35,7 @@ REFINING_PIXEL_BYTES = 450
 pictures 256² took 295 to 311 MiB in all by two threads and 437 by four, 512² took 666 by two."""
 
 TABLE_ROWS: dict[Model, int] = {"paper": 5, "principled": 11}
-TABLE_COLUMNS = 16
+TABLE_COLUMNS = len(BAND_OF)
 """Rows of a pixel's table of surroundings, by model, and SH functions that each has a value of."""
 
 CGROUP_FILES = {

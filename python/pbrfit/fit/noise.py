@@ -107,8 +107,9 @@ class NoiseModel:
             if samples.limits is not None:  # a hot pixel at its maximum must not pull
                 bounded = samples.limits > 0
                 weights[bounded] = wide.weights(squares[bounded]) / wide.largest_weight
+                weights[satisfied(samples.limits, samples.residuals)] = 0.0
             weights *= least / variances
-            weights[~samples.used | samples.satisfied()] = 0.0
+            weights[~samples.used] = 0.0
             found[:, part[0]] = weights
 
         for pixels in pieces(objective.everything):
@@ -176,12 +177,11 @@ class _Samples:
         """Which tell the radiance."""
         return self.used if self.limits is None else self.used & (self.limits == 0)
 
-    def satisfied(self) -> NDArray[np.bool_]:
-        """Which are at a limit that the model is beyond."""
-        if self.limits is None:
-            return np.zeros(self.residuals.shape, bool)
-        above = (self.limits == AT_LEAST) & (self.residuals >= 0)
-        return np.asarray(above | ((self.limits == AT_MOST) & (self.residuals <= 0)))
+
+def satisfied(limits: NDArray[np.uint8], excess: Array) -> NDArray[np.bool_]:
+    """Which samples are at a limit that a model, by its excess over them, is not inside of."""
+    above = (limits == AT_LEAST) & (excess >= 0)
+    return np.asarray(above | ((limits == AT_MOST) & (excess <= 0)))
 
 
 def _residuals(objective: Objective, pixels: Pixels, x: Array | None) -> Array:
@@ -201,7 +201,7 @@ def estimated(objective: Objective, x: Array, *, outliers: bool = False) -> Nois
     samples = _Samples.of(objective, every, _residuals(objective, every, x))
     used, of_file = samples.ordinary, samples.of_file
     counts = used.sum(axis=(1, 2))
-    mean_radiance = max(float(samples.radiance[used].mean()), settings.MEAN_RADIANCE_MIN)
+    mean_radiance = float(samples.radiance[used].mean()) or settings.MEAN_RADIANCE
     mean_of_file = 0.0 if of_file is None else float(of_file[used].mean())
     relative = samples.radiance / mean_radiance
     terms = [np.ones_like(relative), relative, relative**2]

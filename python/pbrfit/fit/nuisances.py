@@ -23,7 +23,6 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -42,20 +41,6 @@ from pbrfit.scene.scene import Scene
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Nuisance:
-    """A number that all pixels share."""
-
-    of: Callable[[Scene], float]
-    put: Callable[[Scene, float], Scene]
-    """What it is in a scene, and the scene with another."""
-    mean: float
-    sigma: float
-    """Of its prior."""
-    correction: int | None = None
-    """Which number of the pictures' correction it is; None = the field of view."""
-
-
 def log_tangent(fov: float) -> float:
     """θ of a field of view in degrees: its tangent is as the focal length, of which factors count.
 
@@ -69,36 +54,15 @@ def degrees(theta: float) -> float:
     return math.degrees(2 * math.atan(math.exp(theta)))
 
 
-FIELD_OF_VIEW = Nuisance(
-    lambda scene: log_tangent(scene.fov),
-    lambda scene, theta: scene.through(degrees(theta), scene.correction),
-    log_tangent(FIRST_FOV),
-    settings.LOG_FOCAL_LENGTH_SIGMA,
-)
-
-
-def _of_correction(index: int, sigma: float) -> Nuisance:
-    def of(scene: Scene) -> float:
-        assert scene.correction is not None
-        return scene.correction.numbers[index]
-
-    def put(scene: Scene, value: float) -> Scene:
-        assert scene.correction is not None
-        return scene.through(scene.fov, scene.correction.changed(index, value))
-
-    return Nuisance(of, put, 0.0, sigma, index)
-
-
-RESPONSE = tuple(_of_correction(*one) for one in enumerate(settings.RESPONSE_SIGMAS))
-
-
 @dataclass(eq=False)
 class Nuisances:
-    """Those of a level, from round to round."""
+    """Those of a level, from round to round: the field of view, then numbers of the response."""
 
     scene: Scene
     """With the numbers as they are now."""
-    fitted: Sequence[Nuisance]
+    fov: bool = True
+    response: bool = False
+    """Which of them are fitted."""
     information: Array = field(default_factory=lambda: np.zeros((0, 0)))
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     step: Array = field(default_factory=lambda: np.zeros(0))
@@ -110,14 +74,25 @@ class Nuisances:
     _gain_before: float = field(default=math.inf, init=False)
 
     def __post_init__(self) -> None:
-        if self.scene.correction is None and any(one.correction is not None for one in self.fitted):
+        if self.response and self.scene.correction is None:
             none = Correction(self.scene.mean_brightness())
             self.scene = self.scene.through(self.scene.fov, none)
 
     @property
     def values(self) -> Array:
         """(J,): θ."""
-        return np.array([one.of(self.scene) for one in self.fitted])
+        of_response: tuple[float, ...] = ()
+        if self.response:
+            assert self.scene.correction is not None
+            of_response = self.scene.correction.numbers
+        return np.array([*[log_tangent(self.scene.fov)] * self.fov, *of_response])
+
+    @property
+    def prior(self) -> Array:
+        """(2, J): means of their prior, and standard deviations."""
+        of_fov = [(log_tangent(FIRST_FOV), settings.LOG_FOCAL_LENGTH_SIGMA)]
+        of_response = [(0.0, sigma) for sigma in settings.RESPONSE_SIGMAS]
+        return np.transpose(of_fov * self.fov + of_response * self.response)
 
     @property
     def fov_sigma(self) -> float:
@@ -125,23 +100,25 @@ class Nuisances:
 
         dφ = sin φ d ln tan(φ/2); no larger than the prior's.
         """
-        sigma = min(math.sqrt(self.covariance[0, 0]), FIELD_OF_VIEW.sigma)
+        sigma = min(math.sqrt(self.covariance[0, 0]), settings.LOG_FOCAL_LENGTH_SIGMA)
         return math.degrees(math.sin(math.radians(self.scene.fov)) * sigma)
 
     def camera(self, before: Camera) -> Camera:
         """As it was fitted, beside what is known of it."""
         found = replace(before, correction=self.scene.correction)
-        if FIELD_OF_VIEW in self.fitted:
+        if self.fov:
             fov, sigma = self.scene.fov, self.fov_sigma
             found = replace(found, fov_degrees=fov, how="fitted", fov_sigma=sigma)
         return found
 
     def moved(self, by: Array) -> Scene:
         """The scene with all numbers moved by (J,)."""
-        scene = self.scene
-        for one, value in zip(self.fitted, self.values + by, strict=True):
-            scene = one.put(scene, float(value))
-        return scene
+        values, correction = (self.values + by).tolist(), self.scene.correction
+        fov = degrees(values.pop(0)) if self.fov else self.scene.fov
+        for index, value in enumerate(values):
+            assert correction is not None
+            correction = correction.changed(index, value)
+        return self.scene.through(fov, correction)
 
     @property
     def is_settled(self) -> bool:
@@ -170,8 +147,8 @@ class Nuisances:
         self._noise = min(self._noise, left.variance)
         self._misfit = min(self._misfit, left.of_camera)
         variance = self._misfit
-        precision = variance / np.array([one.sigma**2 for one in self.fitted])
-        means = np.array([one.mean for one in self.fitted])
+        means, sigmas = self.prior
+        precision = variance / sigmas**2
         gradient, information = _resolved(gram[1:, 0], gram[1:, 1:], sizes[1:])
         slope = gradient + precision * (self.values - means)
         self.information = information + np.diag(precision)
@@ -199,27 +176,20 @@ class Nuisances:
         objective.see(self.scene)
 
     def _directions(self, objective: Objective, x: Array) -> list[Array]:
-        """d_j, (P, N, C) each; those of a correction at what the model shows."""
-        of_correction: list[Array] = []
-        if self.scene.correction is not None:
-            of_correction = objective.correction_directions(x, self.scene.correction)
-        return [
-            self._by_camera(objective, x, j)
-            if one.correction is None
-            else -of_correction[one.correction]
-            for j, one in enumerate(self.fitted)
-        ]
-
-    def _by_camera(self, objective: Objective, x: Array, j: int) -> Array:
-        """d_j, (P, N, C), by central differences."""
-        step = settings.NUISANCE_DIFFERENCE * np.eye(len(self.fitted))[j]
-        sides = []
-        for by in (step, -step):
-            other = copy.copy(objective)
-            other.see(self.moved(by))
-            sides.append(other.problem.residuals(objective.for_core(x), objective.everything))
-        change = sides[0].astype(np.float64) - sides[1]
-        return change.transpose(1, 0, 2) / (2 * settings.NUISANCE_DIFFERENCE)
+        """d_j, (P, N, C) each: by central differences; of a correction at what the model shows."""
+        found = []
+        if self.fov:
+            step, sides = settings.NUISANCE_DIFFERENCE * np.eye(len(self.values))[0], []
+            for by in (step, -step):
+                other = copy.copy(objective)
+                other.see(self.moved(by))
+                sides.append(other.problem.residuals(objective.for_core(x), objective.everything))
+            change = sides[0].astype(np.float64) - sides[1]
+            found.append(change.transpose(1, 0, 2) / (2 * settings.NUISANCE_DIFFERENCE))
+        if self.response:
+            assert self.scene.correction is not None
+            found += [-one for one in objective.correction_directions(x, self.scene.correction)]
+        return found
 
 
 def _resolved(gradient: Array, information: Array, sizes: Array) -> tuple[Array, Array]:

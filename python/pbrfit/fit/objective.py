@@ -83,8 +83,9 @@ class Objective:
     samples, total_weight
         Number of samples (of one pixel, picture and channel) of some weight, and the sum of their
         weights, of which the largest is 1: the data term is divided by it.
-    weights
-        (N, P, 1 or C) float32 weights of the samples, at most 1; None where all are the same.
+    weights, sample_weights
+        (N, P, 1 or C) float32 weights of the samples, at most 1, as given; and as they weigh now, 0
+        at limits or by their noise. None where all are the same.
     known_metallic, model
         That were decided for.
     penalties
@@ -131,11 +132,10 @@ class Objective:
         units = units or Normalization.of(scene, equal_exposures)
         self.weights = self._given_weights(scene, units) if scene.weighted else None
         self.transfer: PixelTransfer | None = None
-        # (N, P, channels): the weights of the samples, 0 at limits; None without both.
         self._scene, self.threads = scene, threads
         # Where the pixels that take part are in a picture, row by row; None = all valid ones.
         self._places: NDArray[np.intp] | None = None
-        self._factors = self._ordinary()
+        self.sample_weights = self._ordinary()
         self.samples = layout.pictures * self.pixels * self.channels
         self.total_weight = float(self.samples)
         self._count_weights()
@@ -151,11 +151,6 @@ class Objective:
         self.albedo, self.roughness = layout.albedo, layout.roughness
         self.metallic, self.tangent_offsets = layout.metallic, layout.tangent_offsets
         self.lighting = layout.lighting
-
-    @property
-    def sample_weights(self) -> NDArray[np.float32] | None:
-        """(N, P, 1 or C): what samples weigh, 0 at limits; None where all weigh the same."""
-        return self.weights if self._factors is None else self._factors
 
     @property
     def everything(self) -> NDArray[np.uint64]:
@@ -176,9 +171,9 @@ class Objective:
         Where normals are free they are the given ones.
         """
         maps = np.empty(self.layout.maps.stop)
-        albedo = settings.START_MEAN_ALBEDO / settings.MEAN_RADIANCE * self._mean_image()
+        albedo = settings.START_MIDDLE / settings.MEAN_RADIANCE * self._mean_image()
         maps[self.albedo] = np.clip(albedo, *settings.START_ALBEDO_RANGE).T.ravel()
-        maps[self.roughness] = settings.START_ROUGHNESS
+        maps[self.roughness] = settings.START_MIDDLE
         if self.metallic is not None:
             maps[self.metallic] = settings.START_METALLIC
         if self.tangent_offsets is not None:
@@ -307,8 +302,8 @@ class Objective:
             factors = self._ordinary()
         elif self.weights is not None:
             factors = factors * self.weights
-        found._factors = factors
-        if found.sample_weights is not None:
+        found.sample_weights = factors
+        if factors is not None:
             found._count_weights()
             found.layout = replace(self.layout, weighted=True)
         found.problem = found._problem(found.sample_weights)
@@ -323,10 +318,10 @@ class Objective:
             self.total_weight = of_each * float(weights.sum(dtype=np.float64))
 
     def _ordinary(self) -> NDArray[np.float32] | None:
-        """(N, P, C): weights as given, 0 at limits; None where no sample is at one."""
+        """(N, P, 1 or C): weights as given, 0 at limits; None without both."""
         limits = self.limits(self.everything)
         if limits is None:
-            return None
+            return self.weights
         found: NDArray[np.float32] = (limits == 0).astype(np.float32)
         if self.weights is not None:
             found *= self.weights
@@ -344,7 +339,7 @@ class Objective:
 
     def adopt(self, weighed: Objective) -> None:
         """Weigh samples as an objective does that `weighed` gave, from here on."""
-        for name in ("_factors", "samples", "total_weight", "layout", "problem"):
+        for name in ("sample_weights", "samples", "total_weight", "layout", "problem"):
             setattr(self, name, getattr(weighed, name))
 
     @property
@@ -446,14 +441,13 @@ class Objective:
         found.penalties = []
         share = len(pixels) / self.pixels
         found.samples, found.total_weight = round(self.samples * share), self.total_weight * share
-        weights = None if self.weights is None else self.weights[:, pixels]
-        factors = None if self._factors is None else self._factors[:, pixels]
+        found.weights = None if self.weights is None else self.weights[:, pixels]
+        weights = None if self.sample_weights is None else self.sample_weights[:, pixels]
         if shares is not None and (shares != 1).any():
-            own = np.ones((self.layout.pictures, 1, 1)) if weights is None else weights
-            weights = (own * shares[:, None]).astype(np.float32)
-            factors = None if factors is None else factors * shares.astype(np.float32)[:, None]
+            own = np.ones((self.layout.pictures, 1, 1), np.float32) if weights is None else weights
+            weights = own * shares.astype(np.float32)[:, None]
             found.layout = replace(found.layout, weighted=True)
-        found.weights, found._factors = weights, factors
+        found.sample_weights = weights
         found._places = self._all_places()[pixels]
         found.transfer = None if self.transfer is None else self.transfer.of(pixels)
         found.problem = found._problem(found.sample_weights)

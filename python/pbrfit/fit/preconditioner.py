@@ -15,7 +15,6 @@ left out products of both parts are small, and S' is with the mean weights.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -30,66 +29,54 @@ Array = NDArray[np.float64]
 Solve = Callable[[Array], Array]
 
 
-@dataclass(frozen=True, eq=False)
-class Preconditioner:
-    """S⁻¹ v of one pixel, for v of the lights and what else is shared."""
+def preconditioner(
+    objective: Objective,
+    x: Array,
+    times: float,
+    lights: LightPrior,
+    others: Array,
+    options: dict[str, Any],
+) -> tuple[Solve, int]:
+    """S⁻¹ v of one pixel, for v of the lights and what else is shared; and the size of S'.
 
-    in_span: Solve
-    """S'⁻¹, and of what is no light."""
-    basis: Array | None = None
-    """(light channels, N, J): Q; None where it is 1."""
-    beyond: Array | None = None
-    """(N, K light channels, K light channels): G⁻¹."""
+    Of pixels that stand for so many times as many, with the prior on the lights. `others` is added
+    to the diagonal of what is no light, and `options` are for the core. The prior is for all
+    `lights.pixels`, which the system is divided by.
+    """
+    problem, basis = objective.problem, objective.light_basis(x)
+    for_core = objective.for_core(x)
+    if basis is not None:
+        problem, for_core = objective.combined(x, basis)
+    matrix, _ = problem.schur_complement(for_core, objective.everything, **options)
+    matrix *= times
+    end = len(matrix) - len(others)
+    matrix[:end, :end] += lights.matrix(basis)
+    np.einsum("ii->i", matrix)[end:] += others + np.finfo(float).tiny
+    matrix /= lights.pixels
+    in_span = solver_of(matrix, settings.LIGHT_RIDGE)  # S'⁻¹, and of what is no light
+    size = len(matrix)
+    if basis is None:
+        return in_span, size
+    blocks = times * known_materials(objective, x) + lights.of_pictures()
+    ridge = settings.LIGHT_RIDGE * np.einsum("nii->n", blocks) + np.finfo(float).tiny
+    np.einsum("nii->ni", blocks)[:] += ridge[:, None]
+    beyond = np.asarray(np.linalg.inv(blocks / lights.pixels), np.float64)  # G⁻¹
+    channels, pictures, rank = basis.shape
 
-    @classmethod
-    def of(
-        cls,
-        objective: Objective,
-        x: Array,
-        times: float,
-        lights: LightPrior,
-        others: Array,
-        options: dict[str, Any],
-    ) -> Preconditioner:
-        """Of pixels that stand for so many times as many, with the prior on the lights.
-
-        `others` is added to the diagonal of what is no light, and `options` are for the core. The
-        prior is for all `lights.pixels`, which the system is divided by.
-        """
-        problem, basis = objective.problem, objective.light_basis(x)
-        for_core = objective.for_core(x)
-        if basis is not None:
-            problem, for_core = objective.combined(x, basis)
-        matrix, _ = problem.schur_complement(for_core, objective.everything, **options)
-        matrix *= times
-        end = len(matrix) - len(others)
-        matrix[:end, :end] += lights.matrix(basis)
-        np.einsum("ii->i", matrix)[end:] += others + np.finfo(float).tiny
-        matrix /= lights.pixels
-        in_span = solver_of(matrix, settings.PRECONDITIONER_DAMPING)
-        if basis is None:
-            return cls(in_span)
-        blocks = times * known_materials(objective, x) + lights.of_pictures()
-        ridge = settings.PRECONDITIONER_DAMPING * np.einsum("nii->n", blocks) + np.finfo(float).tiny
-        np.einsum("nii->ni", blocks)[:] += ridge[:, None]
-        return cls(in_span, basis, np.asarray(np.linalg.inv(blocks / lights.pixels), np.float64))
-
-    def __call__(self, v: Array) -> Array:
-        """S⁻¹ v."""
-        if self.basis is None or self.beyond is None:
-            return self.in_span(v)
-        channels, pictures, rank = self.basis.shape
-        end = pictures * self.beyond.shape[1]
+    def solve(v: Array) -> Array:
+        end = pictures * beyond.shape[1]
         of_lights = v[:end].reshape(channels, pictures, -1)
-        inside = self.basis.transpose(0, 2, 1) @ of_lights
-        solved = self.in_span(np.concatenate([inside.ravel(), v[end:]]))
-        outside = (of_lights - self.basis @ inside).transpose(1, 0, 2)
-        found = (self.beyond @ outside.reshape(pictures, -1, 1)).reshape(outside.shape)
+        inside = basis.transpose(0, 2, 1) @ of_lights
+        solved = in_span(np.concatenate([inside.ravel(), v[end:]]))
+        outside = (of_lights - basis @ inside).transpose(1, 0, 2)
+        found = (beyond @ outside.reshape(pictures, -1, 1)).reshape(outside.shape)
         found = found.transpose(1, 0, 2)
         count = inside.size
         inside = solved[:count].reshape(channels, rank, -1)
-        found = found + self.basis @ (inside - self.basis.transpose(0, 2, 1) @ found)
+        found = found + basis @ (inside - basis.transpose(0, 2, 1) @ found)
         return np.concatenate([found.ravel(), solved[count:]])
+
+    return solve, size
 
 
 def conjugate_gradients(

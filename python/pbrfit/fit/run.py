@@ -65,6 +65,28 @@ class Progress:
     tiles: tuple[int, int] | None = None
 
 
+@contextmanager
+def notebook_bar(iterations: int) -> Iterator[Callable[[Progress], None]]:
+    """Give what moves a bar, in notebooks a widget: by iterations, of large pictures then tiles."""
+    from tqdm.auto import tqdm
+
+    with tqdm(total=iterations, unit="it", desc="fit") as bar:
+
+        def show(progress: Progress) -> None:
+            bar.set_postfix_str(f"recon {progress.recon_rmse:.2e}", refresh=False)
+            done = progress.iteration
+            if progress.tiles is not None:
+                done, of = progress.tiles
+                if done == 0:
+                    bar.unit = "tile"
+                    bar.reset(of)
+            bar.update(done - bar.n)
+
+        yield show
+        bar.total = bar.n  # most fits need fewer iterations than they may do
+        bar.refresh()
+
+
 @dataclass(frozen=True, eq=False)
 class FitSetup:
     """The options of a fit, and what belongs to this call alone."""
@@ -167,6 +189,14 @@ class Trace:
         if not self._late_in and self.out_of_time():
             self._late_in = name
 
+    def add_row(self, scene: Scene, found: Materials | None, loss: float, rmse: float) -> None:
+        """Add a row to the history, with errors of what was found where the truth is known."""
+        elapsed, errors = self.elapsed, {}
+        if scene.truth is not None and found is not None:
+            errors = material_errors(found, scene.truth.materials)
+        row = HistoryRow(elapsed, self.iteration, self.evaluations, loss, rmse, **errors)
+        self.rows.append(row)
+
     def ended(self, why: str, kept: str = "") -> tuple[Status, str]:
         """Status and reason of a fit that stops here: `why`, unless a limit stopped it."""
         if self.out_of_time():
@@ -230,12 +260,6 @@ class Run(Trace):
         later._last = math.nan, math.nan
         return later
 
-    def through(self, scene: Scene) -> Run:
-        """The same with a scene of other normals."""
-        later = copy.copy(self)
-        later.scene = scene
-        return later
-
     def see(self, nuisances: Nuisances) -> None:
         """Take the camera that was fitted: from here on all pixels see through it."""
         self.scene = nuisances.scene
@@ -267,13 +291,8 @@ class Run(Trace):
             if last != loss:
                 data = self.objective.data_value_and_grad(x)[0]
         recon = self.objective.residual_rmse(data)
-        errors = {}
-        if self.scene.truth is not None:
-            found, _ = self.objective.unpack(x)
-            errors = material_errors(found, self.scene.truth.materials)
-        self.rows.append(
-            HistoryRow(elapsed, self.iteration, self.evaluations, loss, recon, **errors)
-        )
+        found = None if self.scene.truth is None else self.objective.unpack(x)[0]
+        self.add_row(self.scene, found, loss, recon)
         self.tell(recon, lambda: self.objective.unpack(x), elapsed=elapsed)
 
     def visit(self, x: Array, sum_sq: Array) -> bool:

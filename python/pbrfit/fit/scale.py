@@ -225,7 +225,7 @@ class _Curve:
         moves -= moves.mean(axis=0)
         squares = np.square(moves).sum(axis=0)
         freedom = squares**2 / np.maximum((moves**4).sum(axis=0), np.finfo(np.float64).tiny)
-        wider = stdtrit(np.maximum(freedom, settings.FREEDOM_MIN), 0.975) / 1.96
+        wider = stdtrit(np.maximum(freedom, settings.PATCHES_MIN - 1), 0.975) / 1.96
         return np.asarray((count - 1) / count * squares * wider**2)
 
     def _moves(self, group: Pixels) -> tuple[Array, Array]:

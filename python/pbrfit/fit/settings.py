@@ -14,11 +14,10 @@ import math
 MEAN_RADIANCE = 0.4
 """Mean valid radiance after division by the scene scale, so that exposure does not matter."""
 
-START_MEAN_ALBEDO = 0.5
-"""Mean albedo that the mean picture is scaled to at the start, the middle of the range: the scale
-between albedo and light is what a fit finds last."""
+START_MIDDLE = 0.5
+"""Middle of their range, where roughness, and the mean of the albedo, start: the scale between
+albedo and light is what a fit finds last."""
 
-START_ROUGHNESS = 0.5
 START_METALLIC = 0.25
 START_ALBEDO_RANGE = (0.02, 0.98)
 """The start keeps clear of the bounds 0 and 1, where the gradient by albedo may vanish."""
@@ -27,8 +26,8 @@ LARGEST_LIGHT = 1e15
 """Multiple of the scene scale above which known lights are refused: float32 holds squares."""
 
 LIGHT_RIDGE = 1e-6
-"""Share of the mean eigenvalue that is added to the lights' normal equations at the start: keeps
-the lights finite where the normals show only part of a sphere."""
+"""Share of the diagonal that is added to the lights' normal equations, at the start of the mean,
+and in the preconditioner: keeps lights finite where the normals show only part of a sphere."""
 
 NEAR_GREY = 0.05
 """Relative deviation of lights from grey (`color_deviation`) up to which `monochrome` acts."""
@@ -44,9 +43,6 @@ WHOLE_PIXELS_MAX = 1 << 21
 DEGREES_OF_FREEDOM_SHARE_MIN = 0.1
 """Smallest share of the samples that the noise's degrees of freedom count as."""
 
-MEAN_RADIANCE_MIN = 1e-4 * MEAN_RADIANCE
-"""Smallest mean radiance of samples that variances are relative to: of black pictures it is 0."""
-
 NOISE_VARIANCE_MIN = 1e-20
 """Smallest variance of the noise in units of x squared, for where nothing is left unexplained."""
 
@@ -56,7 +52,8 @@ DAMPING_START = 1e-3
 # --- Levels, and what they leave --------------------------------------------------------------
 
 COARSE_PIXELS = 1024
-"""Pixels of the level that finds lights, misfit and prior."""
+"""Pixels of the level that finds lights, misfit and prior, and of the systems whose square is taken
+for each pixel, the preconditioner's and that of the lights' covariance."""
 
 SUBSET_STARTS = 2
 """Nodes of roughness and metallic from which each pixel of a level descends in a round."""
@@ -69,13 +66,14 @@ SAMPLES_OF_UNKNOWN = 5
 """Samples for each unknown of a pixel below which lights are sought from a second start too: in
 colour, up to 8 pictures. One start ended in wrong minima in two of 12 rooms with 5 pictures."""
 
-DIELECTRIC_ROUNDS = 2
-DIELECTRIC_SIGMA = 0.1
-"""Rounds of that second start in which roughness and metallic have a normal distribution around a
-dielectric of middle roughness, and its standard deviation: most surfaces are dielectrics."""
+EARLY_ROUNDS = 2
+"""First rounds, whose residuals are those of wrong lights: samples are not weighed in them, that
+second start takes all surfaces for dielectrics, and lamps stay as diffuse shading has them but for
+their scale."""
 
-WEIGHING_ROUND = 2
-"""Round from which on samples are weighed: before, residuals are those of wrong lights."""
+DIELECTRIC_SIGMA = 0.1
+"""Standard deviation of the normal distribution around a dielectric of middle roughness that
+roughness and metallic have in these rounds of that start: most surfaces are dielectrics."""
 
 COARSE_GAIN_MIN = 10.0
 GAIN_MIN = 0.1
@@ -88,7 +86,8 @@ COARSE_WEIGHT_FALL = 0.1
 
 PATCH_SIDE = 8
 PATCHES_MIN = 4
-"""Rows and columns of a level's pixels in a patch, and how many patches tell a design effect."""
+"""Rows and columns of a level's pixels in a patch, and how many patches, or groups of pixels, tell
+a variance; one less are the fewest degrees of freedom that it is taken to have."""
 
 # --- Noise of samples -------------------------------------------------------------------------
 
@@ -120,7 +119,8 @@ PICTURE_DEVIATION_NAMED = 2.0
 """Ratio of a picture's deviation to the median from which the result names it."""
 
 WEIGHT_ROUNDS = 3
-"""Times that all pixels are fitted and their weights by noise in turn."""
+"""Times that all pixels are fitted and their weights by noise in turn, and where normals are
+refined the prior around their neighbours' last ones."""
 
 LEVERAGE_MAX = 0.9
 """Largest share of a sample's noise that the fit is said to take up."""
@@ -183,11 +183,12 @@ RETRY_STARTS = 6
 """Nodes for these pixels, as above, and from how many of the best they descend."""
 
 LIGHTS_PIXELS = 16_384
-"""Pixels of the second level. Each of the 48 numbers of a picture's light is then as uncertain as a
-sample divided by √(3 · 16384 / 48) = 32, which adds a two-thousandth to the error of a pixel."""
+"""Pixels of the second level, and those that final distributions are fitted to. Each of the 48
+numbers of a picture's light is then as uncertain as a sample divided by √(3 · 16384 / 48) = 32,
+which adds a two-thousandth to the error of a pixel."""
 
 GLOBAL_ROUNDS_MAX = 4
-"""Rounds of joint steps of that level and of trying pixels again."""
+"""Rounds of joint steps of that level and of trying pixels again; likewise for surroundings."""
 
 GLOBAL_STEPS_MAX = 8
 """Joint steps in a round."""
@@ -204,12 +205,6 @@ GLOBAL_DAMPING_MAX = 0.5
 WORSE_RATIO = 1.02
 """Ratio of a pixel's sum of squared residuals after a joint step to that before, above which it may
 have fallen into another minimum and starts again."""
-
-PRECONDITIONER_PIXELS = 1024
-"""Pixels whose system is the preconditioner: the square of the lights' number for each."""
-
-PRECONDITIONER_DAMPING = 1e-6
-"""Share of the preconditioner's diagonal that is added to it."""
 
 CG_ITERATIONS_MAX = 20
 """Products with the lights' system in a joint step, or as many as cost what a new preconditioner
@@ -232,7 +227,8 @@ COMPARE_SIDE = 64
 """Longer side in pixels of the averaged pictures that tell the shape where no normals are given."""
 
 COMPARE_PIXELS_MIN = 32
-"""Pixels from which on pictures are compared: fewer leave the 48 numbers of a light free."""
+"""Pixels from which on pictures are compared, and tell a bas-relief: fewer leave the 48 numbers of
+a light free, and each of the eight of the relief has fewer than four."""
 
 COMPARE_KEPT_MIN = 3
 """Pictures that have to be left to fit: three in colour are nine samples for the five unknowns of a
@@ -245,14 +241,13 @@ COMPARE_PICTURES_MIN = 2
 """Left-out pictures altogether, in as many folds as that takes: they are not all alike."""
 
 COMPARE_PATCHES = 8
-"""Patches along the longer side of a picture, whose means tell how sure a score is, or the scale:
-64 tell a variance to a fifth, and are larger than most shadows, highlights and blocks of JPEG."""
+"""Patches along the longer side of a picture or its mask, whose means tell how sure a score is, or
+the scale: 64 tell a variance to a fifth. What light from other surfaces, gloss, shadows and blocks
+of JPEG put in error together is at most as large."""
 
 COMPARE_ERRORS_MIN = 2.0
-"""Standard errors from which on a difference of scores, or between surroundings, counts."""
-
-COMPARE_DROPPED_ERRORS = 4.0
-"""The same for one that is dropped after some of the left-out pictures: others may differ."""
+"""Standard errors from which on a difference of scores, or between surroundings, counts; twice as
+many after some of the left-out pictures alone, as others may differ."""
 
 COMPARE_SHARED_MAX = 0.2
 """Share of the mean square of left-out errors that pixels and channels have in common up to which
@@ -273,18 +268,12 @@ COMPARE_LIGHT_STEPS = 3
 COMPARE_DARKEST = 1e-3
 """Radiance, of white, below which the slope of a tone curve counts as it is there."""
 
-COMPARE_LAMP_ROUNDS = 4
-"""Rounds of a compared fit under lamps; that of all pixels goes on after them."""
-
 # --- Lamps ------------------------------------------------------------------------------------
 
 LAMP_PIXELS = 1500
 """Number of pixels that lamps are found by: some 20 unknowns a lamp have 100 samples each."""
 
 # --- L-BFGS-B ---------------------------------------------------------------------------------
-
-DATA_SHARE_OF_ITERATIONS = 0.5
-"""Share of the iterations that L-BFGS spends before the mixture prior is fitted around its end."""
 
 EXACT_RMSE = 1e-6
 """Root mean square residual, at mean radiance 0.4, up to which pictures count as explained to the
@@ -319,9 +308,6 @@ wrong; pixels; and joint steps at most. Where the deviation is 0 pixels have tha
 
 SPREAD_MIN = 0.002
 """Smallest standard deviation in a group of one material: below that of 1,000 pixels, 0.1/√1000."""
-
-PRIOR_FIT_PIXELS = 16384
-"""Pixels that the final distributions are fitted to."""
 
 PIXELS_AT_ONCE = 8192
 """Pixels whose samples are held at a time by each processor; changes no result."""
@@ -359,9 +345,6 @@ SCALE_STEP_MAX = 0.1
 GROUP_LEVERAGE_MAX = 0.5
 """Share of the information on the scale that a group counts as having, at most."""
 
-FREEDOM_MIN = 3.0
-"""Smallest degrees of freedom of a jackknife's variance."""
-
 UNIFORM_PRECISION = 12.0
 """1/variance of a number that may lie anywhere in [0, 1]."""
 
@@ -383,49 +366,38 @@ WHITE_ALBEDO_MIN = 1e-3
 STRIDED_SUBSET_EXCESS = 1.25
 """Times as many pixels as wanted that a strided subset may have."""
 
-NORMALS_ROUNDS_OF_PASSES = (3, COARSE_ROUNDS_MAX)
-"""Rounds of the coarse level with free normals, at most, in two passes: from the first one's lights
-all else starts once more, which on nine rooms halved the errors."""
-
 NORMALS_PATCH_SIDE = 4
 """Pixels along a side of the patches of a level whose offsets move together."""
 
 PURE_ROUGHNESS_NODES = (0.05, 1.0, 20)
 PURE_EVIDENCE_MAX = 1.0
 PURE_SIGMAS = (0.1, 0.05)
-METAL_SHARE = 0.1
 """Among surroundings, where segments have about one roughness, and metallic 0 or 1: (lowest,
 highest, count) of the roughness that they are tried with; natural units of evidence that a pixel
 adds at most, four times as many against a roughness; standard deviations of a pixel's roughness and
-metallic around its segment's; the share of surfaces of bare metal before anything is seen."""
+metallic around its segment's."""
 
-TRANSPORT_WHOLE_PIXELS_MAX = 1 << 19
+TRANSPORT_WHOLE_PIXELS_MAX = WHOLE_PIXELS_MAX // 4
 """Pixels above which a scene that may have surroundings is fitted in tiles. Its tables take up to
 4 kB a pixel with 16 colour pictures and the model paper, and 8 kB with principled: 4 GB."""
 
 TRANSPORT_PIXELS = 400
 """Pixels that lights are fitted to while surroundings are compared, and pixels left out."""
 
-TRANSPORT_SEARCH_RAYS = 512
 TRANSPORT_RAYS = 2048
-"""Rays of a pixel, about, while surroundings are compared and after: tables to within 2 and 1 %."""
-
-TRANSPORT_ROUNDS = 4
-TRANSPORT_NEAR_ROUNDS = 1
-"""Rounds of joint steps for an alternative; and where lights begin at those of one like it."""
+"""Rays of a pixel, about, for tables to within 1 %; while surroundings are compared a quarter, for
+2 %."""
 
 NORMALS_DIELECTRIC_ROUNDS = 3
-"""First rounds of a search, in which metallic has a prior around 0 in place of the fitted one."""
+"""First rounds of a search, in which metallic has a prior around 0 in place of the fitted one. A
+first pass has these alone; all but lights then starts once more, which on nine rooms halved the
+errors."""
 
 NORMALS_DIELECTRIC_SIGMA = 0.2
 """Standard deviation of that prior on metallic."""
 
 NORMALS_MATERIAL_SIGMAS_MIN = (0.1, 0.04, 0.02)
 """Smallest standard deviation of the fitted prior in the rounds after those; the last one stays."""
-
-NORMALS_METALLIC_NODES = (0.0, 1.0)
-"""Metallic of the nodes that the prior is fitted on: there is hardly anything between dielectrics
-and metals, and with normals free the pictures alone do not say so."""
 
 NORMALS_OFFSET_SIGMA_ALONE = math.radians(60.0)
 """Standard deviation of each tangent offset by itself, in radians: weak, because counted once a
@@ -448,16 +420,14 @@ the pair has fallen to 1/e: from about here on an edge lies between them."""
 NORMALS_GIVEN_SIGMA_MIN = 0.1
 """Smallest uncertainty of a given normal, as a share of the mean one: nothing is known for sure."""
 
-NORMALS_PRIOR_UPDATES = 3
-"""Times that all pixels refine their normals, with a prior around their neighbours' last ones."""
-
 # --- Tiles ------------------------------------------------------------------------------------
-
-TILES_SUBSET_PIXELS_MAX = 1 << 18
-"""Pixels that find the lights of a large picture: these then make 1 % of a pixel's own error."""
 
 TILE_SIDE = 512
 """Rows and columns of a tile, at most: memory grows with its square."""
+
+TILES_SUBSET_PIXELS_MAX = TILE_SIDE**2
+"""Pixels that find the lights of a large picture, as many as a tile has: lights then make 1 % of a
+pixel's own error."""
 
 TILE_MARGIN = 32
 """Pixels around a tile that are fitted with it, not kept, where normals are refined."""
@@ -503,9 +473,6 @@ samples is so many times smaller than the error of the scale that it makes."""
 SCALE_NOISE_RATIO = 2.0
 """Least relative deviation of a scale that was found, in relative deviations of the samples: bias
 by noise, which the jackknife does not see (2 to 9 % with noise of 2.5 %)."""
-
-LIGHT_PIXELS_MAX = 1024
-"""Pixels, evenly spread, that give the covariance of the lights, at most."""
 
 OMITTED_VARIANCE_SHARE_MAX = 1e-3
 """Share of the pixels' variances, in the mean, that the lights' modes left out may add together."""

@@ -160,7 +160,7 @@ class _Search:
         self._surrounded.transport, self._surrounded.scenery = Transport(kind), scenery
         few, left_out = (
             objective.restricted(pixels).among(
-                self._surrounded.tables(objective, pixels, rays=settings.TRANSPORT_SEARCH_RAYS)
+                self._surrounded.tables(objective, pixels, rays=settings.TRANSPORT_RAYS // 4)
             )
             for pixels in (self._fitted, self._left_out)
         )
@@ -169,7 +169,7 @@ class _Search:
             x = few.with_best_lights(x)
         other = objective.part_of(self._x, self._left_out)
         if few.lighting is not None:
-            rounds = settings.TRANSPORT_ROUNDS if near is None else settings.TRANSPORT_NEAR_ROUNDS
+            rounds = settings.GLOBAL_ROUNDS_MAX if near is None else 1
             shared = SharedFit(LightPrior.around(few, x))
             for _ in range(rounds):
                 sum_sq = fit_level(few, x)

@@ -8,8 +8,8 @@ import numpy as np
 
 from pbrfit._core import InputError
 from pbrfit.fit import memory
+from pbrfit.fit.causes import left_out_words
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.plan import left_out
 from pbrfit.io.depth_files import DEPTH_FILES
 from pbrfit.io.normal_files import UNCERTAINTY
 from pbrfit.model import geometry
@@ -115,7 +115,7 @@ def _lamps(scene: Scene) -> str:
 def facts(scene: Scene) -> list[tuple[str, str]]:
     """(topic, fact) pairs, most wanted first."""
     layout, reason = ParameterLayout.of(scene), hindrance(scene)
-    unused = left_out(scene, layout, Priors())
+    unused = left_out_words(scene, layout, Priors())
     height, width = (scene.source and scene.source.fitted) or scene.valid.shape
     times, looked = height * width / scene.valid.size, ""
     if times != 1:

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pbrfit import Scene, decompose
-from pbrfit.fit import compare, left_out, settings
+from pbrfit.fit import compare, settings
 from pbrfit.fit.compare import Choice, _Fitted
 from pbrfit.fit.left_out import Explanation, LeftOut, LightKind
 from pbrfit.io.color import Curve, decode_srgb, encode_srgb
@@ -176,18 +176,14 @@ def test_pictures_that_say_nothing_are_never_left_out() -> None:
 
 def explained(kind: Explanation, errors: Array, rounding: float = 0.0) -> LeftOut:
     """What errors (M, H, W, 3) make of an explanation of pictures of ones."""
-    valid = np.ones(errors.shape[1:3], bool)
     of_pixels = errors.reshape(len(errors), -1, 3)
     return LeftOut(
         kind,
         48 if kind.light == "sh" else 8,
-        of_pixels.mean(axis=-1),
-        left_out.between_channels(of_pixels),
-        np.square(of_pixels).mean(axis=-1),
-        np.ones(of_pixels.shape[:2]),
+        of_pixels,
+        np.ones_like(of_pixels),
         np.full(len(errors), rounding),
-        left_out.pairs_of(valid),
-        left_out.patches_of(valid),
+        np.ones(errors.shape[1:3], bool),
     )
 
 

@@ -18,7 +18,7 @@ from pbrfit.fit.estimates import (
     mismatch,
     used,
 )
-from pbrfit.fit.tiles.windows import Window, cut
+from pbrfit.fit.windows import Window, cut
 from pbrfit.io import images
 from pbrfit.model.materials import Materials
 from pbrfit.result.uncertainty import Uncertainty

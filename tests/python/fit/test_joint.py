@@ -125,7 +125,7 @@ def test_conjugate_gradients_solve_the_dense_system(
     noisy: Scene, kind: str, priors: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With a preconditioner of few pixels."""
-    monkeypatch.setattr(settings, "PRECONDITIONER_PIXELS", 200)
+    monkeypatch.setattr(settings, "COARSE_PIXELS", 200)
     monkeypatch.setattr(settings, "CG_ITERATIONS_MAX", 1000)
     monkeypatch.setattr(settings, "CG_ERROR_RATIO", 1e-9)
     fit = joint_fit(objective_of(noisy, kind), priors)

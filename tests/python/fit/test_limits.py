@@ -108,8 +108,7 @@ def test_whenever_time_is_up_little_is_done_from_there_on(
 ) -> None:
     options = CONFIGURATIONS[name]
     # Pieces and levels as small beside this picture as the real ones beside large pictures.
-    for few in ("COARSE_PIXELS", "LIGHT_PIXELS_MAX"):
-        monkeypatch.setattr(settings, few, 36)
+    monkeypatch.setattr(settings, "COARSE_PIXELS", 36)
     monkeypatch.setattr(pixels, "PIXELS_PER_CALL", 32)
     monkeypatch.setattr(settings, "PIXELS_AT_ONCE", 32)
     with monkeypatch.context() as patch:

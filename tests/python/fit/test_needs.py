@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 import pbrfit
 from pbrfit import decompose
+from pbrfit.fit.causes import left_out_words
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.plan import chosen_priors, color_deviation, left_out
+from pbrfit.fit.priors.penalties import chosen_priors, color_deviation
 from pbrfit.fit.settings import GREY_WEIGHT, NEAR_GREY
 from pbrfit.result.options import SOLVERS, Priors, Solver
 from pbrfit.synthetic import make_scene
@@ -48,7 +49,7 @@ def needs(
 ) -> tuple[str, ...]:
     """What is left out of a fit with `options` of a layout."""
     layout = ParameterLayout.of(of, **options)
-    return tuple(left_out(of, layout, priors, uncertainty=uncertainty))
+    return tuple(left_out_words(of, layout, priors, uncertainty=uncertainty))
 
 
 def off_grey(deviation: float) -> NDArray[np.float64]:
@@ -161,7 +162,7 @@ def test_monochrome_is_for_lights_near_grey(deviation: float, weight: float) -> 
     assert color_deviation(lighting) == pytest.approx(deviation, abs=1e-12)
     of, layout = scene(), ParameterLayout.of(scene())
     assert chosen_priors(layout, Priors(), lighting).monochrome == weight
-    found = left_out(of, layout, Priors(), lighting=lighting)
+    found = left_out_words(of, layout, Priors(), lighting=lighting)
     said = [entry for entry in found if "monochrome" in entry]
     assert len(said) == (weight == 0)
     assert all("from grey, above 0.05" in entry for entry in said)

@@ -17,7 +17,7 @@ from pbrfit.fit import settings
 from pbrfit.fit.joint import JointFit, SharedFit, minimize
 from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.misfit import Misfit
-from pbrfit.fit.nuisances import FIELD_OF_VIEW, Nuisances, degrees, log_tangent
+from pbrfit.fit.nuisances import Nuisances, degrees, log_tangent
 from pbrfit.fit.pixels import fit_all
 from pbrfit.io.json_files import read_as
 from pbrfit.result.camera import Camera
@@ -51,7 +51,7 @@ def minimum(objective: Objective, x: Array, lights: LightPrior, rounds: int = 4)
     return fit
 
 
-def test_gradient_and_curvature_are_those_of_refits() -> None:
+def test_gradient_and_curvature_are_those_of_refits(monkeypatch: pytest.MonkeyPatch) -> None:
     """With F the lowest sum for a θ: dF/dθ = 2 g, and d²F/dθ² = 2 H where residuals are small."""
     scene = room(size=16)
     objective = Objective(scene, threads=1)
@@ -63,7 +63,8 @@ def test_gradient_and_curvature_are_those_of_refits() -> None:
     scene = scene.through(degrees(log_tangent(scene.fov) + offset))
     objective.see(scene)
     fit = minimum(objective, x, lights)
-    nuisances = Nuisances(scene, [replace(FIELD_OF_VIEW, sigma=1e6)])
+    monkeypatch.setattr(settings, "LOG_FOCAL_LENGTH_SIGMA", 1e6)  # no prior
+    nuisances = Nuisances(scene)
     nuisances.estimate(objective, x, fit, Misfit(1e-4))
     precision = 1e-4 / nuisances.covariance[0, 0]
     slope = -nuisances.step[0] * precision

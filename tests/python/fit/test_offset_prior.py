@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pbrfit.fit.normals.offset_prior import Neighbourhood, TangentOffsetPrior
+from pbrfit.fit.normals.prior import Neighbourhood, TangentOffsetPrior
 from pbrfit.fit.sampling import pixel_index
 from pbrfit.fit.settings import NORMALS_OFFSET_SIGMA_ALONE, NORMALS_OFFSET_SIGMA_RANGE
 from scene_kinds import holed

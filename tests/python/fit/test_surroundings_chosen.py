@@ -109,7 +109,7 @@ def test_surroundings_are_taken_on_pictures_among_them(
     room: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(settings, "TRANSPORT_PIXELS", 60)
-    monkeypatch.setattr(settings, "TRANSPORT_ROUNDS", 1)
+    monkeypatch.setattr(settings, "GLOBAL_ROUNDS_MAX", 1)
     monkeypatch.setattr(transport, "candidates", lambda _: [])
     for kind, taken in (("occlusion", "occlusion"), (None, "none")):
         found = pbrfit.decompose(

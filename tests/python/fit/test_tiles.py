@@ -12,8 +12,8 @@ import pbrfit
 from pbrfit.fit import memory, settings
 from pbrfit.fit.run import Progress
 from pbrfit.fit.settings import WHOLE_PIXELS_MAX
-from pbrfit.fit.tiles.fit import ending
-from pbrfit.fit.tiles.windows import strided_window
+from pbrfit.fit.tiles import ending
+from pbrfit.fit.windows import strided_window
 from pbrfit.result.data import Status
 from pbrfit.synthetic import make_scene
 from scene_files import known, truth_of

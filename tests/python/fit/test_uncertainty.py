@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 import pbrfit
-from pbrfit.fit import discrepancy, light_modes, settings, uncertainty
+from pbrfit.fit import discrepancy, settings, uncertainty
 from pbrfit.fit.discrepancy import Discrepancy
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.settings import MEAN_RADIANCE, SAMPLE_USES, SIGMA_MAX
@@ -101,7 +101,7 @@ OPTIONS: tuple[dict[str, Any], ...] = (
 
 def told(variance: float, objective: Objective, x: Array) -> Discrepancy:
     """Of samples that are off by this variance, and lights by all their modes."""
-    modes = light_modes.light_modes(objective, x)
+    modes = discrepancy.light_modes(objective, x)
     return Discrepancy(variance / SAMPLE_USES, 0.0, modes, 0.0)
 
 

@@ -69,7 +69,7 @@ def made() -> tuple[Scene, Result, list[Scenery]]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(settings, "COMPARE_KEPT_MIN", 1 << 20)  # nothing is compared
         patch.setattr(settings, "TRANSPORT_PIXELS", 40)
-        patch.setattr(settings, "TRANSPORT_ROUNDS", 1)
+        patch.setattr(settings, "GLOBAL_ROUNDS_MAX", 1)
         patch.setattr(fit_transport, "candidates", lambda _: [])
         patch.setattr(compare, "search", search)
         result = decompose(scene, transport="occlusion", **FEW)

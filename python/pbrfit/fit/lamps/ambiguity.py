@@ -29,6 +29,7 @@ from scipy.special import expit
 from pbrfit.fit.lamps.integrability import Integrability, equations
 from pbrfit.fit.lamps.outline import Outline
 from pbrfit.fit.lamps.photometric import PseudoNormals
+from pbrfit.fit.lamps.sample_noise import RELATIVE_MIN
 from pbrfit.fit.lamps.samples import BAS_RELIEF, Samples, blocks_of, some_of
 
 Array = NDArray[np.float64]
@@ -36,10 +37,6 @@ Array = NDArray[np.float64]
 KNOWN_MIN = 0.05
 """Least part of a pixel's information, in the direction it says least of, of the median pixel's,
 with which its normal is its own and not its neighbours'."""
-
-ALBEDO_SPREAD_MIN = 0.05
-"""Least spread of the logarithm of albedo: lamps that are not quite far away, and light from other
-surfaces, change it by about 5 % across an object, whatever its albedo."""
 
 STRENGTH_SPREAD = 0.1
 """Spread of the logarithm of lamps' strengths that is expected: one lamp moved by hand at arm's
@@ -193,11 +190,11 @@ def _cauchy_scale(residuals: Array) -> float:
     By Newton's method in ln s.
     """
     squared: Array = residuals**2
-    scale = max(float(np.median(np.abs(residuals))), ALBEDO_SPREAD_MIN)
+    scale = max(float(np.median(np.abs(residuals))), RELATIVE_MIN)
     for _ in range(6):
         share = scale**2 / (scale**2 + squared)
         step = (0.5 - float(np.mean(share))) / max(float(np.mean(2 * share * (1 - share))), 1e-3)
-        scale = max(scale * float(np.exp(np.clip(step, -1.0, 1.0))), ALBEDO_SPREAD_MIN)
+        scale = max(scale * float(np.exp(np.clip(step, -1.0, 1.0))), RELATIVE_MIN)
     return scale
 
 

@@ -8,17 +8,19 @@ itself with shadows and metals (`surfaces`).
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.fit.independent_lights import Shown
-from pbrfit.fit.lamps import reference, surfaces
-from pbrfit.fit.lamps import scale as scale_by_highlights
+from pbrfit.fit.lamps import scale as scale_of_lamps
+from pbrfit.fit.lamps import surfaces
 from pbrfit.fit.lamps.given_normals import colored_by, far_lamps, near_lamps, of_usual_scale
 from pbrfit.fit.lamps.joint import (
     ALBEDO_MEAN,
@@ -33,26 +35,32 @@ from pbrfit.fit.lamps.joint import (
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
 from pbrfit.fit.lamps.sample_noise import Noise
 from pbrfit.fit.lamps.samples import FirstShape
-from pbrfit.fit.lamps.shape import FOV_MAX, FOV_MEAN, FOV_SPREAD
+from pbrfit.fit.lamps.scale import Reference
+from pbrfit.fit.lamps.shape import FOV_MAX, FOV_MEAN, FOV_SPREAD, first_shape, height_of
 from pbrfit.fit.priors.population import METALLIC_DEVIATION
-from pbrfit.fit.run import FitSetup, Trace, material_errors
+from pbrfit.fit.run import FitSetup, Progress, Trace
 from pbrfit.fit.sampling import evenly_spaced, evenly_spaced_over, placed
 from pbrfit.fit.settings import (
-    COMPARE_LAMP_ROUNDS,
     DEGREES_OF_FREEDOM_SHARE_MIN,
+    EARLY_ROUNDS,
     LAMP_PIXELS,
     MEAN_RADIANCE,
+    START_MIDDLE,
+    UNIFORM_PRECISION,
 )
 from pbrfit.fit.whole_picture import FitOutput
 from pbrfit.lazy import lazy
-from pbrfit.model.geometry import view_directions
+from pbrfit.model.geometry import views_at
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
+from pbrfit.model.reflection import chosen_model, whole_number
+from pbrfit.registration.placement import aligned
 from pbrfit.result.camera import Camera
-from pbrfit.result.history import HistoryRow
+from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import FROM_PICTURES, Refinement
 from pbrfit.result.uncertainty import TWO_SIDED, Uncertainty
 from pbrfit.result.verdict import by_deviations
+from pbrfit.scene.arrays import SHAPE_PICTURES_MIN
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import one_blas_thread
 from pbrfit.transport.scenery import Scenery
@@ -73,12 +81,9 @@ LOOKS: dict[int, tuple[tuple[float, ...], tuple[float, ...]]] = {
 of view and roughnesses are tried, one after the other: wide first, then near the best. Steps from
 the best are degrees; in the first round `FIELDS_OF_VIEW` are tried."""
 
-HELD_ROUNDS = 2
-"""First rounds, in which lamps stay as diffuse shading has them but for their scale. A fit which
-goes on from what others have found begins after them."""
-
 LOOK_LAST = 4
-"""From which round on normals are no longer sought at highlights, and roughness near what it is."""
+"""From which round on normals are no longer sought at highlights, and roughness near what it is; a
+compared fit ends before it."""
 
 FIELDS_OF_VIEW = (0.0, 15.0, 30.0, 45.0, 60.0)
 """Degrees that are tried where nobody told it."""
@@ -87,11 +92,12 @@ INDEPENDENT_SHARE = 1 / 8
 """Share of the pixels looked at that counts: what a picture shows wrong it shows wrong around it,
 too."""
 
-ROUGHNESS_MEAN, ROUGHNESS_SPREAD = 0.5, 0.25
-"""Roughness before anything is known: uniform in [0, 1] has 0.5 and 0.29."""
+ROUGHNESS_SPREAD = 0.25
+"""Standard deviation of roughness around `START_MIDDLE` before anything is known; that of a uniform
+distribution in [0, 1] is 0.29."""
 
-UNIFORM_VARIANCE = 1 / 12
-"""Largest variance of albedo and roughness: that of a uniform distribution in [0, 1]."""
+UNIFORM_VARIANCE = 1 / UNIFORM_PRECISION
+"""Largest variance of albedo and roughness."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +129,7 @@ def first_prior(pixels: LampPixels, offset_sigma: Array | float) -> SurfacePrior
     """Before anything was fitted; `offset_sigma` of each tangent offset, radians."""
     count = len(pixels)
     mean, precision = np.zeros((count, 7)), np.zeros((count, 7))
-    mean[:, 5], precision[:, 5] = ROUGHNESS_MEAN, ROUGHNESS_SPREAD**-2
+    mean[:, 5], precision[:, 5] = START_MIDDLE, ROUGHNESS_SPREAD**-2
     precision[:, :2] = np.broadcast_to(np.asarray(offset_sigma, float) ** -2.0, (count,))[:, None]
     return SurfacePrior(mean, precision)
 
@@ -209,8 +215,7 @@ class LampFit:
         scene = self.scene
         fit = self.joint(some_places(scene))
         [band] = self._surfaces(fit, scene.valid)
-        given = self.normals(fit.matrix), self.model, self.setup.threads
-        pixels = LampPixels.of(scene.through(self.fov), *given, like=fit.pixels)
+        pixels = self._pixels(fit.matrix, like=fit.pixels)
         lamps = replace(fit.state.lamps, colors=fit.state.lamps.colors * fit.pixels.scale)
         roughness = {
             int(label): float(np.median(fit.prior.mean[fit.pixels.labels == label, 5]))
@@ -224,14 +229,19 @@ class LampFit:
             return np.asarray(self.scene.normals, np.float64)
         return turned(np.asarray(self.start.normals, np.float64), matrix)
 
+    def _pixels(
+        self, matrix: Array, places: NDArray[np.intp] | None = None, like: LampPixels | None = None
+    ) -> LampPixels:
+        """Pixels at places, or all, through the camera as it is; other arguments as above."""
+        given = self.normals(matrix), self.model, self.setup.threads, places
+        return LampPixels.of(self.scene.through(self.fov), *given, like=like)
+
     def _starts(
         self, places: NDArray[np.intp]
     ) -> tuple[LampPixels, list[tuple[str, Lamps, Array]]]:
         """Pixels at places, and named lamps with their albedos (P, 3)."""
         known = self.scene.lamps
-        seen = self.scene.through(self.fov)
-        given = self.normals(np.eye(3)), self.model, self.setup.threads
-        few = LampPixels.of(seen, *given, places)
+        few = self._pixels(np.eye(3), places)
         if known is not None and known.colored:
             usual = MEAN_RADIANCE / ALBEDO_MEAN / max(float(known.colors.mean()), 1e-12)
             lamps = replace(known, colors=known.colors * usual)
@@ -275,7 +285,7 @@ class LampFit:
             np.zeros((few.pictures, 16, 3)),
             few.normals.copy(),
             np.clip(albedo, 0.01, 0.99),
-            np.full(len(few), ROUGHNESS_MEAN),
+            np.full(len(few), START_MIDDLE),
             np.full(len(few), self.options.metallic or 0.0),
         )
         known = self.scene.lamps
@@ -294,7 +304,7 @@ class LampFit:
         fit.state, fit.cost = fit.fitted(fit.state, 10)
         if not self.trace.rows:
             self._record(fit)
-        first = 0 if self.begin is None else HELD_ROUNDS
+        first = 0 if self.begin is None else EARLY_ROUNDS
         for number in range(first, self.rounds):
             if self.trace.left <= 0 or (number > first and self.trace.out_of_time()):
                 break  # lamps as they began leave too much to be a result
@@ -312,7 +322,7 @@ class LampFit:
                     self._turn(fit)
             # Near lamps begin within centimetres; what weighs most here, the surfaces beside them,
             # is what pulls them away where a metal is not known yet.
-            if number == HELD_ROUNDS and not near:
+            if number == EARLY_ROUNDS and not near:
                 shape = self.relief is not None
                 fit.freedom = replace(fit.freedom, places=known is None, colors=True, shape=shape)
             # All samples of pictures that obey the model tell the same scale.
@@ -341,8 +351,7 @@ class LampFit:
         residual = pixels.residuals(radiance(pixels, state))
         rmse = float(np.sqrt(np.mean(residual**2))) * pixels.scale
         loss = fit.cost / max(int(np.count_nonzero(pixels.weights)), 1)
-        done = trace.iteration, trace.evaluations
-        trace.rows.append(HistoryRow(trace.elapsed, *done, loss, rmse))
+        trace.add_row(self.scene, None, loss, rmse)
         maps = Materials(state.albedo, state.roughness, state.metallic)
         trace.tell(rmse, lambda: (maps, state.ambient))
 
@@ -369,7 +378,7 @@ class LampFit:
             nearer = np.outer(2.0 ** np.linspace(-0.5, 0.5, 5), prior.mean[:, 5])
             roughnesses = np.clip(nearer, ROUGHNESS_MIN, 1)
         metallic = np.broadcast_to(given.metallic, roughnesses.shape)
-        if number == HELD_ROUNDS and self.options.metallic is None and labels.any():
+        if number == EARLY_ROUNDS and self.options.metallic is None and labels.any():
             # From here on lamps would bend to metals that stay dielectrics.
             metals = (few.labels > 0).astype(float)
             metallic = np.repeat([np.zeros(len(few)), metals], len(roughnesses), axis=0)
@@ -427,8 +436,8 @@ class LampFit:
 
     def _views(self, fov: float, places: NDArray[np.intp]) -> Array:
         """(P, 3): unit vectors to the camera at places of the picture."""
-        height, width = self.scene.valid.shape
-        return np.asarray(view_directions(height, width, fov).reshape(-1, 3)[places])
+        rows, columns = np.divmod(places, self.scene.width)
+        return views_at((self.scene.height, self.scene.width), fov, columns, rows)
 
     def _left_by_roughness(
         self,
@@ -522,28 +531,27 @@ class LampFit:
 
     # Surfaces
 
-    def _bands(self, fit: JointLamps) -> tuple[list[surfaces.Band], reference.Reference | None]:
+    def _bands(self, fit: JointLamps) -> tuple[list[surfaces.Band], Reference | None]:
         """All pixels, under lights of the scale that a reference tells, if there is one."""
         valid, white = self.scene.valid, self.options.white
         if white is None:
             return self._surfaces(fit, valid), None
-        bands, known = reference.refer(fit, valid, white, partial(self._surfaces, fit))
+        bands, known = scale_of_lamps.refer(fit, valid, white, partial(self._surfaces, fit))
         if self.options.uncertainty:
             bands = self._surfaces(fit, valid, known)
         return bands, known
 
     def _surfaces(
-        self, fit: JointLamps, mask: NDArray[np.bool_], known: reference.Reference | None = None
+        self, fit: JointLamps, mask: NDArray[np.bool_], known: Reference | None = None
     ) -> list[surfaces.Band]:
         """Pixels of a mask under the lights of a fit, band by band."""
         scene, few = self.scene, fit.pixels
         uncertain = self._covariance(fit, known) if self.options.uncertainty else None
         places = np.flatnonzero(mask.ravel())
         albedo = _spread(fit.state.albedo, few.places, places, scene.width)
-        given = self.normals(fit.matrix), self.model, self.setup.threads
-        seen, found = scene.through(self.fov), []
+        found = []
         for band in surfaces.bands(mask):
-            pixels = LampPixels.of(seen, *given, places[band], like=few)
+            pixels = self._pixels(fit.matrix, places[band], few)
             sigma = self._offset_sigma(pixels.places)
             prior = of_labels(fit.prior, few, pixels, sigma)
             lit = self.lit_at(pixels)
@@ -574,7 +582,7 @@ class LampFit:
             )
         return found
 
-    def _covariance(self, fit: JointLamps, known: reference.Reference | None) -> Array:
+    def _covariance(self, fit: JointLamps, known: Reference | None) -> Array:
         """(M, M): of what all pixels share."""
         shared = fit.information()
         # Looks have found the scale where steps have not, and it is as uncertain.
@@ -585,13 +593,13 @@ class LampFit:
         inner = np.linalg.pinv(basis.T @ shared @ basis, hermitian=True)
         found = basis @ inner @ basis.T
         if known is None:
-            return scale_by_highlights.with_pulls(found, fit, self.scene.width)
-        return reference.with_known_scale(found, fit, known.variance)
+            return scale_of_lamps.with_pulls(found, fit, self.scene.width)
+        return scale_of_lamps.with_known_scale(found, fit, known.variance)
 
     # Output
 
     def _output(
-        self, fit: JointLamps, bands: list[surfaces.Band], known: reference.Reference | None
+        self, fit: JointLamps, bands: list[surfaces.Band], known: Reference | None
     ) -> FitOutput:
         scene, trace = self.scene, self.trace
         scale = fit.pixels.scale
@@ -604,10 +612,7 @@ class LampFit:
         rmse = float(np.sqrt(squares / max(total, 1e-300))) * scale
         maps = Materials(whole("albedo"), whole("roughness"), whole("metallic"))
         lamps = replace(fit.state.lamps, colors=fit.state.lamps.colors * scale)
-        errors = {} if scene.truth is None else material_errors(maps, scene.truth.materials)
-        row = HistoryRow(
-            trace.elapsed, trace.iteration, trace.evaluations, trace.rows[-1].loss, rmse, **errors
-        )
+        trace.add_row(scene, maps, trace.rows[-1].loss, rmse)
         once = "; the other pixels were fitted once, under the lamps found so far"
         status, reason = trace.ended("converged", once if trace.out_of_time() else "")
         shown = self._shown(fit.pixels, squares / max(total, 1e-300))
@@ -624,7 +629,7 @@ class LampFit:
             shown=shown,
             status=status,
             reason=reason,
-            rows=(*trace.rows, row),
+            rows=tuple(trace.rows),
             evaluations=trace.evaluations,
             stages=tuple(trace.stages),
             seconds=trace.elapsed,
@@ -657,11 +662,11 @@ class LampFit:
         fit: JointLamps,
         bands: list[surfaces.Band],
         shown: Shown,
-        known: reference.Reference | None,
+        known: Reference | None,
     ) -> Uncertainty:
         valid, scale = self.scene.valid, fit.pixels.scale
         if known is None:
-            scales = np.full(3, scale_by_highlights.deviation(fit, self._covariance(fit, None)))
+            scales = np.full(3, scale_of_lamps.deviation(fit, self._covariance(fit, None)))
         else:
             scales = np.sqrt(known.variance)
         red, green, blue = scales.tolist()
@@ -753,7 +758,7 @@ def settled(scene: Scene, setup: FitSetup, start: FirstShape) -> FirstShape:
     """The start, with the bas-relief that a joint fit of few pixels finds, if one is open."""
     if start.relief is None:
         return start
-    fit = LampFit(scene, replace(setup, progress=None), start, rounds=COMPARE_LAMP_ROUNDS)
+    fit = LampFit(scene, replace(setup, progress=None), start, rounds=LOOK_LAST)
     joint = fit.joint(some_places(scene))
     lamps, normals = joint.state.lamps, fit.normals(joint.matrix)
     return replace(
@@ -767,3 +772,51 @@ def fit_lamps(
 ) -> FitOutput:
     """Fit surfaces, lamps and ambient light to a scene, from what some pixels have found."""
     return LampFit(scene, setup, start, begin).solve()
+
+
+class PictureNormals(NamedTuple):
+    """What pictures tell of shape."""
+
+    normals: Array
+    """(H, W, 3), NaN outside the mask."""
+    sigma_degrees: Array
+    """(H, W): how uncertain they are by noise and by the lamps, both tangent offsets together."""
+    height: NDArray[np.float32]
+    """(H, W), as in `Result`."""
+    lamps: Lamps
+    undetermined: tuple[str, ...]
+    """What the pictures leave open, each in words."""
+
+
+def normals_from_pictures(
+    scene: Scene, *, threads: int = 0, progress: Callable[[Progress], None] | None = None
+) -> PictureNormals:
+    """Fit a scene without normals under lamps.
+
+    Raises
+    ------
+    InputError
+        If the scene has normals, fewer than three pictures, known SH light, or near lamps without
+        depth.
+    """
+    if scene.normals_known:
+        raise InputError("normals: expected none, which the pictures are to tell, found some")
+    count = len(scene.images)
+    if count < SHAPE_PICTURES_MIN:
+        raise InputError(
+            f"images: expected {SHAPE_PICTURES_MIN} or more pictures under different lamps, found "
+            f"{count}"
+        )
+    began = time.perf_counter()
+    options = FitOptions(light="lamps", model=chosen_model(None, scene.model), uncertainty=True)
+    scene = aligned(scene)
+    setup = FitSetup(options, whole_number("threads", threads), progress, began)
+    check_light(scene, setup)
+    start = first_shape(scene)
+    found = fit_lamps(scene, setup, start)
+    assert found.lamps is not None
+    assert found.normal_sigma is not None
+    height = height_of(found.normals, scene)
+    return PictureNormals(
+        found.normals, found.normal_sigma, height, found.lamps, start.undetermined
+    )

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit.lamps.joint import ALBEDO_MEAN
+from pbrfit.fit.lamps.photometric import DARK
 from pbrfit.fit.lamps.problem import LampPixels
 from pbrfit.fit.lamps.samples import grey_samples
 from pbrfit.fit.sampling import evenly_spaced
@@ -34,10 +35,8 @@ distance."""
 FINAL_SCALE = 0.02
 """Scale of residuals, a logarithm, that weights end with: 2 %."""
 
-DARK = 0.02
-"""Share of a picture's mean radiance below which a pixel is taken to be in a shadow."""
-
 TINY = 1e-12
+"""Radiance, or what stands below a fraction, that counts as none."""
 
 
 def far_lamps(pixels: LampPixels) -> tuple[Lamps, Array]:

@@ -5,8 +5,8 @@ of G. A surface z ahead of a camera that looks along r = (x, y, -1) has
 
     ∂ ln z/∂x = -m₁/(m·r),    ∂ ln z/∂y = -m₂/(m·r)
 
-(`pbrfit.scene.integration`), and the derivative by y of the first is that by x of the second. With
-M = -m·r = m₃ - x m₁ - y m₂,
+(`pbrfit.scene.integration`), and the derivative by y of the first is that by x of the second, so
+that with M = -m·r = m₃ - x m₁ - y m₂
 
     M ∂_y m₁ - m₁ ∂_y M  =  M ∂_x m₂ - m₂ ∂_x M.
 

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from pbrfit.fit.lamps.problem import LampPixels, LampState, by_place, surface_of, tangents
 from pbrfit.fit.lamps.sample_noise import NOISE_MIN, Noise
 from pbrfit.fit.lamps.samples import BAS_RELIEF
-from pbrfit.fit.settings import MEAN_RADIANCE
+from pbrfit.fit.settings import MEAN_RADIANCE, PRIOR_ROUGHNESS_NODES
 from pbrfit.model.lamps import Lamps
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ UNKNOWNS = 6
 """Number for each pixel in joint steps: two offsets of the normal, albedo, roughness. Metallic
 waits."""
 
-ROUGHNESS_MIN = 0.03
+ROUGHNESS_MIN = PRIOR_ROUGHNESS_NODES[0]
 """Least roughness that a step leads to: below, a lobe shows in no sample."""
 
 COSINE_MIN = 0.1

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pbrfit import _core
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance, surface_of, tangents
+from pbrfit.fit.lamps.samples import MATT_PIXELS
 from pbrfit.fit.sampling import evenly_spaced
 from pbrfit.fit.settings import MEAN_RADIANCE
 from pbrfit.model.lamps import Lamps
@@ -57,7 +58,7 @@ def light_of_picture(
     )
     one = Lamps(np.zeros(1, np.intp), np.array([[0.0, 0, 1]]), colors=np.ones((1, 3)))
     state = LampState(one, np.zeros((1, 16, 3)), normals, *materials)
-    rows = evenly_spaced(len(pixels), 4000).astype(np.intp)
+    rows = evenly_spaced(len(pixels), MATT_PIXELS).astype(np.intp)
     few, some = pixels.of_rows(rows), state.of_rows(rows)
     surfaces = some.normals, few.views, some.albedo, some.roughness, some.metallic
     ambient = _core.shade(*surfaces, model).reshape(-1, 3, 16)[..., :terms]

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import _core
+from pbrfit.fit.noise import satisfied
 from pbrfit.fit.sampling import slices
 from pbrfit.fit.settings import MEAN_RADIANCE, PIXELS_AT_ONCE
-from pbrfit.io.limits import AT_LEAST, AT_MOST
 from pbrfit.model.geometry import positions, views_at
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import Model
@@ -155,10 +155,8 @@ class LampPixels:
     def residuals(self, radiance: Array) -> Array:
         """(P, N, 3): what a radiance is too much; 0 where a sample only bounds it, and is kept."""
         residual = radiance - self.samples
-        kept = ((self.limits == AT_LEAST) & (residual > 0)) | (
-            (self.limits == AT_MOST) & (residual < 0)
-        )
-        return np.where(kept | (self.weights == 0), 0.0, residual)
+        none = satisfied(self.limits, residual) | (self.weights == 0)
+        return np.where(none, 0.0, residual)
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,9 +36,10 @@ NOISE_MIN = 1e-4
 """Least σ, in units where the mean radiance is 0.4: below what 8 bits or float16 can tell."""
 
 RELATIVE_MIN = 0.05
-"""Least relative deviation of a sample of the mean radiance, √(γ/0.4): no surface is as diffuse as
-the model, and no lamp as far away, to better than some per cent. Where pictures obey the model,
-nothing is left, and weights do not matter."""
+"""Least relative deviation of a sample of the mean radiance, √(γ/0.4), and least spread of the
+logarithm of albedo: no surface is as diffuse as the model, no lamp as far away, and no surface
+without light from others, to better than some per cent. Where pictures obey the model, nothing is
+left, and weights do not matter."""
 
 SHADOWS = 1e-3, 0.5
 """Bounds of the share of a picture's samples in cast shadows: with more, they would be the rule."""

@@ -1,8 +1,8 @@
 """The start of a fit with lamps: normals, albedo and lamps from pictures alone, taken as diffuse.
 
 Known lamps leave robust photometric stereo at each pixel (`photometric`). Unknown ones are found
-with the pseudo-normals, up to a matrix, by a factorisation (`factorization`); the matrix by all
-cues at once (`ambiguity`, `cues`). What no cue tells is named in `undetermined`.
+with the pseudo-normals, up to a matrix, by a factorisation; the matrix by all cues at once
+(`ambiguity`). What no cue tells is named in `undetermined`.
 """
 
 from __future__ import annotations
@@ -14,23 +14,15 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.fit.lamps.ambiguity import Minimum, Places, Relief, minima, unit_and_length
-from pbrfit.fit.lamps.factorization import Factors, factors
 from pbrfit.fit.lamps.outline import outline, rough_shape
-from pbrfit.fit.lamps.photometric import DARK, pseudo_normals
-from pbrfit.fit.lamps.samples import FirstShape, Samples, some_of
+from pbrfit.fit.lamps.photometric import DARK, Factors, factors, pseudo_normals
+from pbrfit.fit.lamps.samples import MATT_PIXELS, FirstShape, Samples, some_of
 from pbrfit.fit.lamps.surface import finished, strengths_along
+from pbrfit.fit.settings import COMPARE_PIXELS_MIN
 from pbrfit.model.geometry import angles_between
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-FACTORED_MAX = 4000
-"""Pixels that the lamps' space is found from: N unknown lamps of three numbers each are known to a
-per cent of σ by as many."""
-
-PLACES_MIN = 30
-"""Pixels with a pseudo-normal of their own below which cues say nothing: each of the eight unknowns
-would have fewer than four."""
 
 EQUALLY_LIKELY = 3.0
 """Difference of the negative log likelihood below which two minima are told to be undecided: odds
@@ -48,15 +40,11 @@ def start_of_known_lamps(
 ) -> FirstShape:
     """Start with lamps whose `directions`, (N, 3) unit vectors, are known.
 
-    Of `samples` (N, H, W) or (N, H, W, 3), linear radiance, some are `usable`: not clipped, and in
-    the mask (H, W). `views` (H, W, 3) are unit vectors to the camera; `strengths` (N,) or (N, 3);
-    None = found up to a common factor. Raises InputError for fewer than three pictures, or shapes
-    that do not fit.
+    Of `samples` (N, H, W, C), linear radiance, some are `usable`: not clipped, and in the mask
+    (H, W). `views` (H, W, 3) are unit vectors to the camera; `strengths` (N,) or (N, 3); None =
+    found up to a common factor. Raises InputError for fewer than three pictures.
     """
-    data = Samples.of(samples, usable, mask, threads)
-    lamps = np.asarray(directions, np.float64)
-    if lamps.shape != (data.pictures, 3):
-        raise InputError(f"directions: expected {(data.pictures, 3)}, found {lamps.shape}")
+    data, lamps = Samples.of(samples, usable, mask, threads), np.asarray(directions, np.float64)
     undetermined: tuple[str, ...] = ()
     if strengths is None:
         grey, undetermined = _strengths_of_known(data, lamps)
@@ -83,10 +71,10 @@ def start_of_unknown_lamps(
             raise InputError(
                 f"pictures: expected three or more in which a lamp is seen, found {seen.sum()}"
             )
-        some = np.asarray(samples)[seen], np.asarray(usable)[seen]
+        some = samples[seen], usable[seen]
         return _with_black(start_of_unknown_lamps(*some, mask, views, fov, threads), seen)
     rays = views if fov > 0 else np.broadcast_to([0.0, 0.0, 1.0], views.shape)
-    chosen = some_of(len(data.grey), FACTORED_MAX)
+    chosen = some_of(len(data.grey), MATT_PIXELS)
     product = factors(data.relative[chosen], data.usable[chosen])
     edge = outline(mask, views)
     if product.rank < 3:
@@ -94,7 +82,7 @@ def start_of_unknown_lamps(
     lamps = product.lamps
     normals = pseudo_normals(data.relative, data.usable, lamps, data.threads)
     places = Places.of(data, rays, views, normals, lamps, edge)
-    if not places.integrability.blocks or len(places.chosen) < PLACES_MIN:
+    if not places.integrability.blocks or len(places.chosen) < COMPARE_PIXELS_MIN:
         return _start_of_few(data, views, product)
     rough = rough_shape(mask, views)[data.where][places.chosen] if len(edge) else None
     found = minima(places, rough)
@@ -141,7 +129,7 @@ def _start_of_few(data: Samples, views: Array, product: Factors) -> FirstShape:
 
 def _strengths_of_known(data: Samples, lamps: Array) -> tuple[Array, tuple[str, ...]]:
     """Strengths (N,) of lamps with known directions; equal ones, with a word, if nothing tells."""
-    chosen = some_of(len(data.grey), FACTORED_MAX)
+    chosen = some_of(len(data.grey), MATT_PIXELS)
     product = factors(data.relative[chosen], data.usable[chosen])
     found = strengths_along(product.lamps, lamps) if product.rank == 3 else None
     if found is None:

@@ -126,7 +126,7 @@ def prior_at(
 def _fit_distributions(grid: Grid, pooling: Pooling | None = None) -> Distributions:
     """To an even share of the grid's pixels."""
     labels = labels_of(grid.objective)
-    many = evenly_spaced_over(labels, settings.PRIOR_FIT_PIXELS)
+    many = evenly_spaced_over(labels, settings.LIGHTS_PIXELS)
     return Distributions.of(grid.likelihood(many), labels[many], grid, pooling)
 
 

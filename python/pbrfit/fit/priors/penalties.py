@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -11,7 +11,10 @@ from numpy.typing import NDArray
 
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.sampling import pairs_apart, pixel_index
+from pbrfit.fit.settings import GREY_WEIGHT, NEAR_GREY
 from pbrfit.result.options import Priors
+
+Array = NDArray[np.float64]
 
 SMOOTHNESS_STEP = 0.01
 """Share of the picture's side over which differences of neighbours are taken; see `smoothness`."""
@@ -24,7 +27,7 @@ class Penalty(Protocol):
     def name(self) -> str:
         """Of the prior that it belongs to."""
 
-    def value_and_grad(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
+    def value_and_grad(self, x: Array, gradient: Array) -> float:
         """Value at x; its gradient is added to `gradient`, (size,) like x."""
 
 
@@ -40,13 +43,18 @@ def penalties(layout: ParameterLayout, priors: Priors) -> list[Penalty]:
         "sparsity": sparsity,
         "monochrome": Monochrome,
     }
-    idle = idle_penalties(layout, priors)
+    idle = idle_priors(layout, priors)
     weights = {name: getattr(priors, name) for name in made if name not in idle}
     return [made[name](layout, weight) for name, weight in weights.items() if weight]
 
 
-def idle_penalties(layout: ParameterLayout, priors: Priors) -> dict[str, str]:
-    """Names of penalties that are asked for and have nothing to act on, with the reason."""
+def idle_priors(
+    layout: ParameterLayout, priors: Priors, lighting: Array | None = None
+) -> dict[str, str]:
+    """Names of priors that are asked for but cannot or must not act, with the reason.
+
+    `lighting` as for `chosen_priors`.
+    """
     idle = {}
     if priors.cohesion and not layout.segment_count:
         idle["cohesion"] = "no pixel has a segment"
@@ -59,7 +67,37 @@ def idle_penalties(layout: ParameterLayout, priors: Priors) -> dict[str, str]:
             idle["monochrome"] = "lights are known"
         elif layout.light_channels == 1:
             idle["monochrome"] = "lights have one channel"
+        elif priors.monochrome is None and lighting is not None:
+            found = color_deviation(lighting)
+            if found > NEAR_GREY:
+                idle["monochrome"] = f"coloured lights, {found:.2g} from grey, above {NEAR_GREY:g}"
     return idle
+
+
+def chosen_priors(layout: ParameterLayout, priors: Priors, lighting: Array | None = None) -> Priors:
+    """Weights, 0 where a prior has nothing to act on.
+
+    An automatic weight of `monochrome` is chosen by `lighting` (N, ..., 3), that of a fit without
+    it; None until that is known.
+    """
+    chosen = replace(priors, **dict.fromkeys(idle_priors(layout, priors, lighting), 0.0))
+    chosen = replace(chosen, material=chosen.material_strength)
+    if chosen.monochrome is None and lighting is not None:
+        chosen = replace(chosen, monochrome=GREY_WEIGHT)
+    return chosen
+
+
+def color_deviation(lighting: Array) -> float:
+    """How far lights (..., 3) are from grey: √(Σ (L − L̄)² / Σ L²), L̄ the mean over channels.
+
+    0 where all channels are equal, 0.82 where there is light in one channel only.
+    """
+    largest = np.abs(lighting).max()
+    if not largest:
+        return 0.0
+    lighting = lighting / largest  # squares of lights in picture units may overflow
+    deviation = lighting - lighting.mean(axis=-1, keepdims=True)
+    return float(np.sqrt(np.square(deviation).sum() / np.square(lighting).sum()))
 
 
 @dataclass(frozen=True)
@@ -69,10 +107,10 @@ class _OnMaps:
     name: str
     factor: float
     blocks: tuple[slice, ...]
-    sum_of: Callable[[NDArray[np.float64]], tuple[float, NDArray[np.float64]]]
+    sum_of: Callable[[Array], tuple[float, Array]]
     """Of one map, (P,): the sum, and half of its gradient."""
 
-    def value_and_grad(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
+    def value_and_grad(self, x: Array, gradient: Array) -> float:
         """See `Penalty`."""
         total = 0.0
         for block in self.blocks:
@@ -99,7 +137,7 @@ def cohesion(layout: ParameterLayout, weight: float) -> Penalty:
     segments = layout.segments.astype(np.int64)
     counts = np.maximum(np.bincount(segments), 1)
 
-    def squares(values: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+    def squares(values: Array) -> tuple[float, Array]:
         deviations = values - (np.bincount(segments, values) / counts)[segments]
         deviations[segments == 0] = 0
         return float(np.square(deviations).sum()), deviations
@@ -128,7 +166,7 @@ def smoothness(layout: ParameterLayout, weight: float) -> Penalty:
     """
     first, second = tied_neighbours(layout)
 
-    def squares(values: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+    def squares(values: Array) -> tuple[float, Array]:
         changes = values[second] - values[first]
         inwards = np.zeros(layout.pixels)
         inwards += np.bincount(second, changes, layout.pixels)
@@ -167,7 +205,7 @@ class Monochrome:
         self._channels = layout.light_channels
         self._factor = weight / (self._block.stop - self._block.start)
 
-    def value_and_grad(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
+    def value_and_grad(self, x: Array, gradient: Array) -> float:
         """See `Penalty`."""
         lights = x[self._block].reshape(-1, self._channels)
         deviations = lights - lights.mean(axis=-1, keepdims=True)

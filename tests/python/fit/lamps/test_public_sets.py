@@ -31,7 +31,8 @@ def test_bunny(name: str, known: float, unknown: float) -> None:
     with np.load(BUNNY / f"{name}.npz") as arrays:
         samples = arrays["images"].astype(np.float64)
         lamps = arrays["lights"].astype(np.float64)
-    usable = np.broadcast_to(mask if samples.ndim == 3 else mask[..., None], samples.shape)
+    samples = samples if samples.ndim == 4 else samples[..., None]
+    usable = np.broadcast_to(mask[..., None], samples.shape)
     views = np.zeros((*mask.shape, 3))
     views[..., 2] = 1.0
 

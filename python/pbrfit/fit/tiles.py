@@ -1,4 +1,13 @@
-"""The fit of a large picture: a strided subset of its pixels, then tile by tile."""
+"""Large pictures: lights from some of the pixels, then all pixels tile by tile.
+
+What a fit holds beside the pictures is a few hundred bytes a pixel, and for a large picture that is
+more than the pictures themselves. But lights have few unknowns: a strided subset of the pixels
+finds them as well as all do. Once they are known pixels touch each other only where normals are
+refined. So every s-th row and column is a small scene, which is fitted as any other; then, with its
+lights, its decision on normals and its material prior held, tiles of the picture are fitted one
+after the other. Where normals are refined they have a margin, which is not kept. Only the pictures
+and the resulting maps are there as a whole.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +22,12 @@ from pbrfit.fit import settings, uncertainty
 from pbrfit.fit.normals import refined_fit
 from pbrfit.fit.objective import Normalization, valid_values
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.run import FitSetup, Run, State, material_errors
+from pbrfit.fit.run import FitSetup, Run, State
 from pbrfit.fit.sampling import pixel_index
-from pbrfit.fit.tiles.windows import Tile, Window, cut, cut_maps, strided_window, tiles
 from pbrfit.fit.whole_picture import FitOutput, Start, fit_pixels, output_of, uncertainty_of
+from pbrfit.fit.windows import Tile, Window, cut, cut_maps, strided_window, tiles
 from pbrfit.model.materials import Materials, nearest_inside
 from pbrfit.result.data import Stage, Status
-from pbrfit.result.history import HistoryRow
 from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import Refinement
 from pbrfit.scene.scene import Scene
@@ -73,9 +81,7 @@ def fit_tiles(
     clock.evaluations += round(passes)
     mean = loss / weight
     rmse = clock.objective.residual_rmse(mean)
-    errors = {} if scene.truth is None else material_errors(maps.materials, scene.truth.materials)
-    elapsed, passes_done = clock.elapsed, clock.evaluations
-    clock.rows.append(HistoryRow(elapsed, clock.iteration, passes_done, mean, rmse, **errors))
+    clock.add_row(scene, maps.materials, mean, rmse)
     return output_of(
         replace(state, ended=ending(*state.ended, statuses, options)),
         setup,
@@ -115,7 +121,22 @@ class _Subset:
     refinement: Refinement
     lighting: Array
     """(N, 16, 3) in picture units."""
-    nearest: _Nearest
+    window: Window
+    maps: Array
+    """Which pixels of the picture they are, and (h, w, 8): their materials and normals, those of
+    their nearest pixel that has some where one has none."""
+
+    def nearest(self, window: Window) -> tuple[Materials, Array]:
+        """Materials and normals (h, w, ...) of the subset at the pixels of another window."""
+        pairs = (window.rows, self.window.rows), (window.columns, self.window.columns)
+        places = [
+            np.rint((np.arange(here.start, here.stop) - there.start) / there.step).clip(
+                0, length - 1
+            )
+            for (here, there), length in zip(pairs, self.maps.shape[:2], strict=True)
+        ]
+        maps = self.maps[np.ix_(*(place.astype(np.intp) for place in places))]
+        return Materials(maps[..., :3], maps[..., 3], maps[..., 4]), maps[..., 5:]
 
 
 def _fit_subset(
@@ -129,7 +150,9 @@ def _fit_subset(
     if options.time_limit is not None:
         options = replace(options, time_limit=options.time_limit / 2)
     if options.white is not None:
-        options = replace(options, white=window.place(*options.white))
+        (column, row, value), (rows, columns) = options.white, (window.rows, window.columns)
+        place = (column - columns.start) / columns.step, (row - rows.start) / rows.step
+        options = replace(options, white=(*place, value))
     if start is not None:
         materials, lights = start
         # As a whole, for a window of others may fit too.
@@ -144,8 +167,10 @@ def _fit_subset(
         began = time.perf_counter()
         state = replace(state, discrepancy=state.judged())
         run.unmeasured += time.perf_counter() - began
-    nearest = _Nearest(window, scene.valid, materials, np.asarray(run.scene.normals))
-    return _Subset(state, refinement, lighting, nearest)
+    maps = [materials.albedo, materials.roughness[..., None], materials.metallic[..., None]]
+    whole = np.concatenate([*maps, np.asarray(run.scene.normals)], axis=-1)
+    whole = whole[nearest_inside(window.of(scene.valid))]
+    return _Subset(state, refinement, lighting, window, whole)
 
 
 def _fit_tile(
@@ -162,7 +187,7 @@ def _fit_tile(
     make = partial(setup.objective, units=units)
     objective = make(part)
     run = Run(setup, part, objective, subset.state)
-    near, normals = subset.nearest.at(tile.outer)
+    near, normals = subset.nearest(tile.outer)
     x = objective.pack(near.albedo, near.roughness, near.metallic)
     objective.put_best_albedo(x, objective.everything)
     if run.out_of_time():
@@ -203,30 +228,3 @@ class _Maps:
         tile.inside.of(inside)[...] = True
         numbers = tile.inner.of(self._number)[tile.inner.of(self._valid)]
         self.spread.put(numbers.astype(np.intp), spread, inside[part.valid])
-
-
-class _Nearest:
-    """Materials and normals of a strided subset, looked up from anywhere in the picture.
-
-    Where the subset has none, those of its nearest pixel that has some are taken. `valid` (H, W)
-    are the pixels of the picture that are fitted.
-    """
-
-    def __init__(
-        self, subset: Window, valid: NDArray[np.bool_], materials: Materials, normals: Array
-    ) -> None:
-        self._subset = subset
-        maps = [materials.albedo, materials.roughness[..., None], materials.metallic[..., None]]
-        self._maps = np.concatenate([*maps, normals], axis=-1)[nearest_inside(subset.of(valid))]
-
-    def at(self, window: Window) -> tuple[Materials, Array]:
-        """Materials and normals (h, w, ...) of the pixels of a window."""
-        pairs = (window.rows, self._subset.rows), (window.columns, self._subset.columns)
-        places = [
-            np.rint((np.arange(here.start, here.stop) - there.start) / there.step).clip(
-                0, length - 1
-            )
-            for (here, there), length in zip(pairs, self._maps.shape[:2], strict=True)
-        ]
-        maps = self._maps[np.ix_(*(place.astype(np.intp) for place in places))]
-        return Materials(maps[..., :3], maps[..., 3], maps[..., 4]), maps[..., 5:]

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit.sampling import stride
+from pbrfit.fit.settings import COMPARE_SIDE
 from pbrfit.io.color import Conversion
 from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.lazy import lazy
@@ -30,11 +31,6 @@ class Window:
     def of(self, values: NDArray[Any]) -> NDArray[Any]:
         """A view of (H, W, ...)."""
         return values[self.rows, self.columns]
-
-    def place(self, column: float, row: float, value: float) -> tuple[float, float, float]:
-        """A place in the picture, with a value there, as one in the window."""
-        columns, rows = self.columns, self.rows
-        return (column - columns.start) / columns.step, (row - rows.start) / rows.step, value
 
 
 @dataclass(frozen=True)
@@ -142,11 +138,10 @@ def cut_maps(materials: Materials, window: Window) -> Materials:
     )
 
 
-def without_shape(scene: Scene, side: int) -> Scene:
-    """Pictures averaged down to a longer side in pixels, of a scene without normals."""
-    full = scene.height, scene.width
-    size = reduced_size(full, side)
-    if size == full:
+def without_shape(scene: Scene) -> Scene:
+    """Pictures averaged down to a longer side of `COMPARE_SIDE`, of a scene without normals."""
+    size = reduced_size(scene.valid.shape, COMPARE_SIDE)
+    if size == scene.valid.shape:
         return scene
     images = np.stack([averaged_channels(image, size) for image in scene.images])
     mask = averaged(scene.valid, size) > 1 - 1e-4
