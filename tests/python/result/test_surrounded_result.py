@@ -16,7 +16,8 @@ from pbrfit.fit import compare, settings
 from pbrfit.fit import transport as fit_transport
 from pbrfit.model.reflection import MODELS, Model
 from pbrfit.report.inspection import facts
-from pbrfit.result.data import SEGMENT_MAX, storable_segments
+from pbrfit.result.data import SEGMENT_MAX
+from pbrfit.scene.arrays import storable_ids
 from pbrfit.transport import scenery
 from pbrfit.transport.decision import Kind, Transport
 from pbrfit.transport.scenery import Scenery
@@ -194,12 +195,12 @@ def test_what_surfaces_bring_makes_pictures_brighter(model: Model) -> None:
 
 def test_ids_too_large_for_float32_are_counted_anew() -> None:
     small = np.array([[0, 7, 9]])
-    np.testing.assert_array_equal(storable_segments(small), small)
+    np.testing.assert_array_equal(storable_ids(small, SEGMENT_MAX), small)
     at = np.array([[0, SEGMENT_MAX]])
-    np.testing.assert_array_equal(storable_segments(at), at)
+    np.testing.assert_array_equal(storable_ids(at, SEGMENT_MAX), at)
     large = np.array([[7, SEGMENT_MAX + 1, 0, -3]])
-    np.testing.assert_array_equal(storable_segments(large), [[1, 2, 0, -1]])
-    np.testing.assert_array_equal(storable_segments(large[:, :2]), [[1, 2]])
+    np.testing.assert_array_equal(storable_ids(large, SEGMENT_MAX), [[2, 3, 0, 1]])
+    np.testing.assert_array_equal(storable_ids(large[:, :2], SEGMENT_MAX), [[1, 2]])
 
 
 @pytest.mark.parametrize("kind", ["occlusion", pytest.param("bounce", marks=pytest.mark.slow)])
