@@ -7,7 +7,6 @@ import pytest
 
 from pbrfit.result.differences import (
     OUTSIDE,
-    PALETTE,
     SCALE,
     STEPS,
     TICKS,
@@ -15,6 +14,7 @@ from pbrfit.result.differences import (
     WHITE,
     Difference,
     on_scale,
+    palette,
     residual,
 )
 
@@ -36,8 +36,8 @@ def test_colours_of_values_of_marks_and_of_what_is_outside() -> None:
     vermillion[1, 2] = True  # outside all the same
     found = Difference(values, white, vermillion).indices()
     assert found.tolist() == [[0, 0, STEPS - 1, OUTSIDE], [WHITE, VERMILLION, OUTSIDE, STEPS - 1]]
-    assert PALETTE[WHITE].tolist() == [1.0, 1.0, 1.0]
-    assert len(PALETTE) == OUTSIDE + 1
+    assert palette()[WHITE].tolist() == [1.0, 1.0, 1.0]
+    assert len(palette()) == OUTSIDE + 1
 
 
 def test_samples_without_weight_are_white_and_do_not_count_in_the_rms() -> None:
