@@ -12,7 +12,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from pbrfit.report import html
-from pbrfit.report.html import Cell, paragraph, png_address
+from pbrfit.report.html import Cell, address, paragraph
 from pbrfit_evaluation.jobs import Record
 from pbrfit_evaluation.report.summary import machine, write_summary
 from pbrfit_evaluation.suite import (
@@ -201,7 +201,7 @@ def _figure(folder: Path, figure: Picture) -> str:
     (folder / f"{figure.name}.png").write_bytes(figure.png)
     caption = escape(figure.caption)
     return (
-        f'<figure><img src="{png_address(figure.png)}" alt="{caption}">'
+        f'<figure><img src="{address(figure.png)}" alt="{caption}">'
         f"<figcaption>{caption}</figcaption></figure>"
     )
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pbrfit.io.color import encode_srgb
-from pbrfit.report.html import in_base64, png_address
+from pbrfit.report.html import address, in_base64
 from pbrfit.result import differences
 from pbrfit.result.differences import palette
 from pbrfit.result.drawing import as_svg
@@ -22,14 +22,14 @@ PIXELATED = 300
 """Pictures with a shorter longer side are shown with square pixels, not blurred."""
 
 
-def picture(png: bytes, size: tuple[int, int], alt: str) -> str:
-    """`img` of (height, width) pixels inside a button that enlarges it."""
+def picture(content: bytes, size: tuple[int, int], alt: str) -> str:
+    """`img` of (height, width) pixels, a file, inside a button that enlarges it."""
     height, width = size
     look = ' class="pixels"' if max(size) < PIXELATED else ""
     text = escape(alt)
     return (
         f'<button type="button" class="zoom" aria-label="Enlarge: {text}">'
-        f'<img{look} src="{png_address(png)}" alt="{text}" width="{width}" height="{height}">'
+        f'<img{look} src="{address(content)}" alt="{text}" width="{width}" height="{height}">'
         "</button>"
     )
 
@@ -42,8 +42,8 @@ def figure(content: str, title: str, remark: str = "") -> str:
 
 def plot(drawing: Figure, alt: str) -> str:
     """A plot of matplotlib's as a picture that stays sharp."""
-    address = f"data:image/svg+xml;base64,{in_base64(as_svg(drawing).encode())}"
-    return f'<figure class="plot"><img src="{address}" alt="{escape(alt)}"></figure>'
+    drawn = f"data:image/svg+xml;base64,{in_base64(as_svg(drawing).encode())}"
+    return f'<figure class="plot"><img src="{drawn}" alt="{escape(alt)}"></figure>'
 
 
 def grid(figures: Iterable[str], look: str) -> str:

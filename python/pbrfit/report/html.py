@@ -127,9 +127,10 @@ def table(content: Table) -> str:
     return f'{caption}<div class="scroll"><table>{head}{rows}</table></div>'
 
 
-def png_address(png: bytes) -> str:
-    """Give a picture as an address that holds it."""
-    return f"data:image/png;base64,{in_base64(png)}"
+def address(content: bytes) -> str:
+    """The address that holds a picture, a file of PNG, JPEG or WebP."""
+    kinds = {b"\x89P": "png", b"\xff\xd8": "jpeg", b"RI": "webp"}
+    return f"data:image/{kinds[content[:2]]};base64,{in_base64(content)}"
 
 
 def in_base64(content: bytes) -> str:

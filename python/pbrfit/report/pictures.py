@@ -60,10 +60,10 @@ class Picture:
     residual: Difference | None = None
     """None without the scene."""
 
-    def pngs(self, side: int) -> list[bytes]:
+    def files(self, side: int) -> list[bytes]:
         """At a longer side: picture, reconstruction and residual, or only the second."""
         found = [
-            raster.picture_png(encoded(raster.reduced(one, side) / self.white))
+            raster.photograph(encoded(raster.reduced(one, side) / self.white))
             for one in self.radiance
         ]
         if self.residual is not None:

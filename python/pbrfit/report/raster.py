@@ -18,6 +18,12 @@ Values = NDArray[np.floating[Any]]
 SMALL = 1 << 13
 """Pixels up to which the slowest and strongest compression is worth its time."""
 
+LOSSLESS_SIDE = 256
+"""Longer side of a photograph up to which it is a PNG, whose pixels may be looked at."""
+
+QUALITY = 90
+"""Of photographs in JPEG and WebP, at which a block's border is not seen."""
+
 
 def reduced(values: Values, side: int) -> NDArray[np.float64]:
     """Average (H, W) or (H, W, C) down; NaN where most of what is averaged is NaN."""
@@ -53,8 +59,21 @@ def reduced_difference(difference: Difference, side: int) -> Difference:
 
 def picture_png(encoded: Values) -> bytes:
     """(H, W) or (H, W, 3) as it goes to the screen; transparent where it is NaN."""
+    return _png(_shown(encoded))
+
+
+def _shown(encoded: Values) -> Image.Image:
     found = codes(encoded)
-    return _png(Image.fromarray(found[..., 0] if found.shape[-1] == 1 else found))
+    return Image.fromarray(found[..., 0] if found.shape[-1] == 1 else found)
+
+
+def photograph(encoded: Values) -> bytes:
+    """As `picture_png`; large ones as WebP: a tenth of the bytes in a fifth of the time."""
+    if max(encoded.shape) <= LOSSLESS_SIDE:
+        return picture_png(encoded)
+    buffer = io.BytesIO()
+    _shown(encoded).save(buffer, "WEBP", quality=QUALITY, method=0)
+    return buffer.getvalue()
 
 
 def difference_png(difference: Difference) -> bytes:

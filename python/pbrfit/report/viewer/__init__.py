@@ -25,7 +25,7 @@ from pbrfit._core import environment_lobes
 from pbrfit.display.tone import encoded
 from pbrfit.model.reflection import Model, ggx_band_weights
 from pbrfit.report import figures, raster
-from pbrfit.report.html import in_base64, png_address
+from pbrfit.report.html import address, in_base64
 from pbrfit.report.viewer import film, maps
 from pbrfit.report.viewer.film import Tile
 from pbrfit.report.viewer.lights import Lighting, exposure_of
@@ -142,7 +142,7 @@ def _deviations(result: Result) -> dict[str, str]:
         return {}
     of_maps = differences.deviations(result.uncertainty)
     return {
-        name: png_address(
+        name: address(
             raster.difference_png(raster.reduced_difference(of_maps[name], DEVIATION_SIDE))
         )
         for name in PARAMETERS

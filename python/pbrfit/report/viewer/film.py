@@ -11,8 +11,8 @@ from PIL import Image
 
 from pbrfit.display.tone import codes, encoded
 from pbrfit.report import budget
-from pbrfit.report.html import in_base64, png_address
-from pbrfit.report.raster import picture_png, reduced
+from pbrfit.report.html import address
+from pbrfit.report.raster import LOSSLESS_SIDE, QUALITY, picture_png, reduced
 from pbrfit.report.viewer.lights import Lighting, exposure_of
 from pbrfit.result.metrics import stops
 from pbrfit.scene.scene import Scene
@@ -20,12 +20,6 @@ from pbrfit.threads import in_pieces
 
 SIDES = (1024, 768, 512, 384, 256, 128, 96, 64, 48)
 """Longer sides that inputs may have, in pixels."""
-
-QUALITY = 90
-"""JPEG quality of inputs, at which a block's border is not seen; colours have all their pixels."""
-
-LOSSLESS_SIDE = 256
-"""Longer side of a picture up to which it is a PNG, whose pixels may be looked at."""
 
 THUMB_SIDE = 96
 """Longer side of a reconstruction, which stands for a picture that is not there."""
@@ -51,11 +45,11 @@ def of_scene(scene: Scene, whites: Sequence[float], limit: float) -> list[Tile]:
         finite = np.nan_to_num(scene.images[i], nan=0.0, posinf=0.0, neginf=0.0)
         shown = encoded(reduced(finite, side), exposure, "neutral")
         if max(shown.shape) <= LOSSLESS_SIDE:
-            return Tile(png_address(picture_png(shown)), exposure, original=True)
+            return Tile(address(picture_png(shown)), exposure, original=True)
+        # A JPEG, whose colours have all their pixels: it is compared with what is rendered.
         buffer = io.BytesIO()
         Image.fromarray(codes(shown)).save(buffer, "JPEG", quality=QUALITY, subsampling=0)
-        address = f"data:image/jpeg;base64,{in_base64(buffer.getvalue())}"
-        return Tile(address, exposure, original=True)
+        return Tile(address(buffer.getvalue()), exposure, original=True)
 
     # One picture out of the middle tells how large all will be.
     count = len(scene.images)
@@ -74,5 +68,5 @@ def of_lights(lighting: Lighting) -> list[Tile]:
         radiance = lighting.picture(i)
         exposure = exposure_of(radiance)
         shown = encoded(reduced(radiance, THUMB_SIDE), exposure, "neutral")
-        tiles.append(Tile(png_address(picture_png(shown)), exposure, original=False))
+        tiles.append(Tile(address(picture_png(shown)), exposure, original=False))
     return tiles
