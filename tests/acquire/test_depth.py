@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from acquire.tiny_maps import picture, save_tiny_depth_anything, save_tiny_marigold_depth
-from pbrfit.acquire import depth_anything, marigold
+from pbrfit.acquire import depth as depths
+from pbrfit.acquire import marigold
 
 
 @pytest.fixture(scope="module")
@@ -34,9 +35,7 @@ def test_marigold_gives_relative_depth_of_any_size(network: str, size: tuple[int
 @pytest.mark.parametrize("metric", [True, False])
 def test_depth_anything_says_what_its_depth_is(tmp_path: Path, metric: bool) -> None:
     model = str(save_tiny_depth_anything(tmp_path, metric=metric))
-    found, is_metric, record = depth_anything.from_picture(
-        picture(97, 131), model=model, device="cpu"
-    )
+    found, is_metric, record = depths.by_depth_anything(picture(97, 131), model=model, device="cpu")
     assert is_metric == metric == record["metric"]
     assert found.shape == (97, 131)
     assert np.isfinite(found).all()

@@ -17,7 +17,8 @@ from acquire.tiny_maps import (
     save_tiny_sam2,
 )
 from command_runs import ran
-from pbrfit.acquire import depth_anything, marigold, segments
+from pbrfit.acquire import depth as depths
+from pbrfit.acquire import marigold, segments
 from pbrfit.cli import main
 from pbrfit.scene.scene import Scene
 
@@ -79,7 +80,7 @@ def test_tiny_networks_make_all_that_a_scene_may_have(
     for module, name, save in (
         (marigold, "normals_of", save_tiny_marigold_normals),
         (segments, "by_sam2", save_tiny_sam2),
-        (depth_anything, "from_picture", partial(save_tiny_depth_anything, metric=False)),
+        (depths, "by_depth_anything", partial(save_tiny_depth_anything, metric=False)),
     ):
         model = str(save(here / module.__name__))
         monkeypatch.setattr(module, name, partial(getattr(module, name), model=model))

@@ -9,13 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from pbrfit.io.images import encode_png
-from pbrfit.result.sheet import Panel as SheetPanel
-from pbrfit.result.sheet import Row as SheetRow
-from pbrfit.result.sheet import sheet
 from pbrfit_evaluation.heldout.figures import error_of
 from pbrfit_evaluation.heldout.measure import LARGEST_SHOWN, Task, Way
-from pbrfit_evaluation.panels import unpacked
+from pbrfit_evaluation.panels import in_lines, unpacked
 from pbrfit_evaluation.suite import Picture, Results, Row, Section, Table, Value, Verdict
 
 IN_WORDS: dict[Way, str] = {
@@ -150,12 +146,12 @@ def _table(results: Of, names: Sequence[str]) -> Table:
 
 def _errors(results: Of, name: str) -> bytes | None:
     """PNG of errors by way."""
-    row: SheetRow = [
-        SheetPanel(f"{IN_WORDS[task.way]}, {task.keep}", unpacked(values["error"])["error"])
+    errors = {
+        f"{IN_WORDS[task.way]}, {task.keep}": unpacked(values["error"])["error"]
         for task, values in results.finished
         if task.source.name == name and "error" in values
-    ]
-    return encode_png(sheet([row]), "srgb") if row else None
+    }
+    return in_lines({"": errors}) if errors else None
 
 
 def files(results: Of) -> Mapping[str, bytes]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.acquire import depth_anything, marigold
+from pbrfit.acquire import marigold, weights
 from pbrfit.acquire.normals import check_reducible
+from pbrfit.acquire.padding import resized
 from pbrfit.io.depth_files import read_depth
 from pbrfit.model import geometry
 from pbrfit.model.depth_normals import DepthKind
@@ -27,6 +29,7 @@ from pbrfit.scene.depth import (
 from pbrfit.scene.integration import depth_from_normals
 from pbrfit.scene.reading import Surface
 
+MODEL, WHAT = "depth-anything/Depth-Anything-V2-Small-hf", "Depth Anything"
 NETWORKS = ("depth-anything", "marigold")
 
 RATIOS = (0.01, 100.0)
@@ -79,7 +82,7 @@ def estimate(
     fuse
         Make the depth agree with the normals (`pbrfit.scene.integration`).
     options
-        Of the network: those of `depth_anything.from_picture` or `marigold.depth_of`.
+        Of the network: those of `by_depth_anything` or `marigold.depth_of`.
     """
     if source == "normals":
         found = depth_from_normals(
@@ -91,7 +94,7 @@ def estimate(
         relative, more = marigold.depth_of(srgb8, **options)
         found, *remarks = with_offset(relative, _normals(surface, source), surface.fov)
     elif source == "depth-anything":
-        answer, metric, more = depth_anything.from_picture(srgb8, **options)
+        answer, metric, more = by_depth_anything(srgb8, **options)
         if metric:
             found, remarks = without_holes(answer)[0], ["in metres, as the network has it"]
         else:
@@ -205,3 +208,42 @@ def with_offset(
     if best in (0, STEPS - 1):
         said += "; the offset is at the end of its range, so the normals hardly tell it"
     return (depth / np.nanmedian(depth)).astype(np.float32), said
+
+
+def by_depth_anything(
+    srgb8: NDArray[np.uint8], *, model: str = MODEL, device: str = "auto"
+) -> tuple[NDArray[np.float64], bool, dict[str, Any]]:
+    """Estimate depth of one picture (H, W, 3), sRGB, by Depth Anything V2 (Yang et al. 2024).
+
+    Its metric checkpoints give distances along the axis, its others inverse depth up to a factor
+    and an offset; which of both, a checkpoint's configuration says. `model` is a name on the
+    Hugging Face Hub or a local folder, `device` as for `pbrfit.acquire.weights.placement`; always
+    in float32. Returns (H, W); whether that is depth in metres; record: how it was made, as JSON.
+    Raises InputError if a package or the weights are missing, or memory runs out.
+    """
+    weights.need("segment", "torch", "torchvision", "transformers")
+    import torch
+    from PIL import Image
+    from transformers import AutoImageProcessor, AutoModelForDepthEstimation
+
+    where = weights.placement(device, "float32", what=WHAT)
+    loader = partial(AutoModelForDepthEstimation.from_pretrained, dtype=torch.float32)
+    loaded = weights.load(WHAT, model, loader=loader, marker="config.json")
+    processor = weights.load(
+        WHAT, model, loader=AutoImageProcessor.from_pretrained, marker="preprocessor_config.json"
+    ).network
+    network = loaded.network
+    with weights.memory_in_words(WHAT, "a smaller picture, --device cpu"), torch.inference_mode():
+        network.to(where.device)
+        inputs = processor(images=Image.fromarray(srgb8), return_tensors="pt").to(where.device)
+        answer = network(**inputs).predicted_depth[0].cpu().numpy().astype(np.float64)
+    metric = getattr(network.config, "depth_estimation_type", "relative") == "metric"
+    height, width = srgb8.shape[:2]
+    record = {
+        "model": model,
+        "revision": loaded.record["revision"],
+        "metric": metric,
+        "device": where.device,
+        "packages": weights.versions("transformers", "torchvision", "torch"),
+    }
+    return resized(answer[..., None], (height, width))[..., 0].astype(np.float64), metric, record

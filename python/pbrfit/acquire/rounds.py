@@ -12,18 +12,18 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from pbrfit.acquire.generators import RETRY_STEP, Generator, Refused, Request
 from pbrfit.acquire.journal import Entry, Journal
 from pbrfit.acquire.photo import Photo
-from pbrfit.io.color import decode_srgb
+from pbrfit.io.color import Conversion
 
 if TYPE_CHECKING:
     from pbrfit.acquire.review import Check, Reviewer
+
+LINEAR = Conversion("srgb")
+"""Gives the linear light of received pictures."""
 
 REGENERATE = 2
 """How often a picture that the review refused is asked for again, with another seed each time."""
@@ -95,7 +95,7 @@ class Rounds:
                 return pictures
             self._tell("reviewing together")
             entries = (picture.attempts[-1].entry for picture in accepted)
-            verdicts = self.reviewer.together([linear(self.journal.pixels(e)) for e in entries])
+            verdicts = self.reviewer.together([LINEAR(self.journal.pixels(e)) for e in entries])
             refused = []
             for picture, verdict in zip(accepted, verdicts, strict=True):
                 reason = "" if verdict.accepted else verdict.reason
@@ -136,14 +136,8 @@ class Rounds:
             return Attempt(entry, reason=entry.refused)
         if self.reviewer is None:
             return Attempt(entry)
-        verdict = self.reviewer.picture(linear(self.journal.pixels(entry)))
+        verdict = self.reviewer.picture(LINEAR(self.journal.pixels(entry)))
         return Attempt(entry, verdict.checks, reason="" if verdict.accepted else verdict.reason)
 
     def _tell(self, what: str) -> None:
         self.progress(what, self.asked, max(self.asked, self.wanted))
-
-
-def linear(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Pixels (H, W, 3), sRGB, in linear light."""
-    curve: NDArray[Any] = decode_srgb(np.arange(256) / 255).astype(np.float32)
-    return np.asarray(curve[pixels])

@@ -8,8 +8,7 @@ import shlex
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.acquire import depth_anything
-from pbrfit.acquire.depth import estimate
+from pbrfit.acquire.depth import MODEL, estimate
 from pbrfit.acquire.marigold import DEPTH_MODEL, ENSEMBLE
 from pbrfit.commands import arguments as cli
 from pbrfit.commands import network_options as network
@@ -32,7 +31,7 @@ MARIGOLD: network.Flags = {
         "E", cli.positive, f"predictions that are averaged (default: {ENSEMBLE})"
     ),
     **network.SAMPLER,
-    **network.checkpoint(f"{DEPTH_MODEL}, or {depth_anything.MODEL}"),
+    **network.checkpoint(f"{DEPTH_MODEL}, or {MODEL}"),
     **network.DEVICE,
     **network.PRECISION,
 }

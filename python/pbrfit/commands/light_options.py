@@ -103,16 +103,14 @@ def choose_light(options: argparse.Namespace, result: Result) -> tuple[Light, Fa
         if name is None:
             expected = f"--picture NAME, because it holds {len(pictures)} lights"
         raise InputError(f"{file}: expected {expected}, found {listed(pictures)}")
-    coefficients = lighting.of((name,), file)[0]
-    lamps = lighting.lamps_of((name,))
-    if lamps is None:
-        light = turned(coefficients, degrees) if degrees else coefficients
-        return light, [("light", f"SH, of {name} in {file}{turn}")]
-    if not lamps.colored:
-        raise InputError(f"{file}: expected known colors of the lamps of {name}, found none")
-    own = turned((lamps, coefficients), degrees) if degrees else (lamps, coefficients)
-    fact = f"{lamps.in_words()} and ambient SH light, of {name} in {file}{turn}"
-    return own, [("light", fact)]
+    own: Light = (ambient := lighting.of((name,), file)[0])
+    lamps, what = lighting.lamps_of((name,)), "SH"
+    if lamps is not None:
+        if not lamps.colored:
+            raise InputError(f"{file}: expected known colors of the lamps of {name}, found none")
+        own, what = (lamps, ambient), f"{lamps.in_words()} and ambient SH light"
+    own = turned(own, degrees) if degrees else own
+    return own, [("light", f"{what}, of {name} in {file}{turn}")]
 
 
 def _near(options: argparse.Namespace, result: Result) -> tuple[PointLight, Facts]:

@@ -37,13 +37,13 @@ from pbrfit.model.reflection import (
 )
 from pbrfit.registration.placement import aligned
 from pbrfit.result import metrics
-from pbrfit.result.data import storable_segments
+from pbrfit.result.data import SEGMENT_MAX
 from pbrfit.result.history import History
 from pbrfit.result.options import FitOptions, attributes_of
 from pbrfit.result.refinement import hindrance
 from pbrfit.result.result import Result
 from pbrfit.result.verdict import FOV_CONTRADICTED, capped, doubted
-from pbrfit.scene import exposure
+from pbrfit.scene import arrays, exposure
 from pbrfit.scene.options import ReadOptions
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import in_pieces, one_blas_thread
@@ -235,7 +235,7 @@ def _result(
     surrounded, transport = found.surrounded, chosen.transport
     segments = None
     if surrounded is not None and surrounded.scene.segments is not None:
-        segments = storable_segments(surrounded.scene.segments)
+        segments = arrays.storable_ids(surrounded.scene.segments, SEGMENT_MAX).astype(np.int32)
     if not transport.blocks:
         left_out = (*left_out, f"surroundings: {transport.why}")
     if found.lamps is None:

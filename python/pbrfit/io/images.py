@@ -404,8 +404,7 @@ def _of_raster(
         taken = replace(taken, settings={**taken.settings, "colour profile": profile})
     elif decide and raster.icc_profile is not None:
         doubts.append(f"{path}: its ICC profile is ignored because it is a float file")
-    said, doubted = tuple(notes), tuple(doubts)
-    return _Decoded(samples, convert, color, taken, told, turn, notes=said, warnings=doubted)
+    return _Decoded(samples, convert, color, taken, told, turn, None, tuple(notes), tuple(doubts))
 
 
 def _integer_color(

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pbrfit._core import InputError
-from pbrfit.io.quoting import visible
+from pbrfit.io.quoting import listed, visible
 from pbrfit.result.result import Result
 from pbrfit.scene.options import Source
 from pbrfit.scene.scene import Scene
@@ -77,14 +77,8 @@ def _what_differs(result: Result, scene: Scene) -> str:
             {file: digest for file, digest in one.inputs.items() if not file.startswith("truth/")}
             for one in (result, scene)
         )
-        for file, digest in then.items():
-            if file not in now:
-                return f"no {file}"
-            if now[file] != digest:
-                return f"another {file}"
-        more = [file for file in now if file not in then]
-        if more:
-            return f"{more[0]} besides"
+        if other := {file for file, _ in then.items() ^ now.items()}:
+            return f"files that are new, gone or changed: {listed(other)}"
     if scene.names != result.pictures:
         return f"pictures {', '.join(scene.names)}"
     if scene.valid.shape != result.mask.shape:

@@ -217,15 +217,13 @@ def _how_to_read(pictures: Sequence[Picture]) -> str:
 
 
 def _card(one: Picture, side: int, size: tuple[int, int]) -> str:
-    files = one.files(side)
+    made = one.files(side)
     if one.fit is None:
-        [file] = files
+        [file] = made
         content = figures.picture(file, size, f"Reconstruction of {one.name}")
         return figures.figure(content, one.name, "reconstruction")
     alts = (f"Picture {one.name}", f"Reconstruction of {one.name}", f"Residual of {one.name}")
-    content = "".join(
-        figures.picture(file, size, alt) for file, alt in zip(files, alts, strict=True)
-    )
+    content = "".join(figures.picture(of, size, alt) for of, alt in zip(made, alts, strict=True))
     remark = f"RMSE {plain(one.fit.rmse)}, {percent(one.fit.share)} relative to the picture's RMS"
     if one.fit.left_out > 0:
         remark += f"; {percent(one.fit.left_out)} of the samples left out"

@@ -61,7 +61,7 @@ class Picture:
     """None without the scene."""
 
     def files(self, side: int) -> list[bytes]:
-        """Files at a longer side: picture, reconstruction and residual, or only the second."""
+        """At a longer side: picture, reconstruction and residual, or only the second."""
         found = [
             raster.photograph(encoded(raster.reduced(one, side) / self.white))
             for one in self.radiance

@@ -11,7 +11,7 @@ from PIL import Image
 
 from pbrfit.display.tone import codes
 from pbrfit.io.resampling import averaged, averaged_channels, averaged_where, reduced_size
-from pbrfit.result.differences import OUTSIDE, PALETTE, Difference
+from pbrfit.result.differences import OUTSIDE, Difference, palette
 
 Values = NDArray[np.floating[Any]]
 
@@ -59,10 +59,10 @@ def reduced_difference(difference: Difference, side: int) -> Difference:
 
 def picture_png(encoded: Values) -> bytes:
     """(H, W) or (H, W, 3) as it goes to the screen; transparent where it is NaN."""
-    return _png(_image(encoded))
+    return _png(_shown(encoded))
 
 
-def _image(encoded: Values) -> Image.Image:
+def _shown(encoded: Values) -> Image.Image:
     found = codes(encoded)
     return Image.fromarray(found[..., 0] if found.shape[-1] == 1 else found)
 
@@ -72,14 +72,14 @@ def photograph(encoded: Values) -> bytes:
     if max(encoded.shape) <= LOSSLESS_SIDE:
         return picture_png(encoded)
     buffer = io.BytesIO()
-    _image(encoded).save(buffer, "WEBP", quality=QUALITY, method=0)
+    _shown(encoded).save(buffer, "WEBP", quality=QUALITY, method=0)
     return buffer.getvalue()
 
 
 def difference_png(difference: Difference) -> bytes:
     """Encode a map of differences with its palette, transparent outside the mask."""
     image = Image.fromarray(difference.indices(), mode="P")
-    image.putpalette(np.rint(255 * PALETTE).astype(np.uint8).tobytes())
+    image.putpalette(np.rint(255 * palette()).astype(np.uint8).tobytes())
     if np.isnan(difference.values).any():
         image.info["transparency"] = OUTSIDE
     return _png(image)

@@ -340,13 +340,3 @@ class ResultData:
         if self.segments is not None:
             layers[SEGMENT] = self.segments
         return layers
-
-
-def storable_segments(segments: NDArray[np.integer[Any]]) -> NDArray[np.integer[Any]]:
-    """Ids (H, W) that float32 holds: the same, or counted anew in their order, 0 staying 0."""
-    if np.abs(segments.astype(np.float64)).max(initial=0) <= SEGMENT_MAX:
-        return segments.astype(np.int32)
-    ids = np.unique(segments)
-    counted = np.arange(len(ids)) - np.searchsorted(ids, 0)
-    counted += (counted >= 0) & (0 not in ids)
-    return counted[np.searchsorted(ids, segments)].astype(np.int32)

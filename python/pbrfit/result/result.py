@@ -259,22 +259,17 @@ def files_of(folder: Path) -> tuple[str, ...]:
 
 def _check_is_result(folder: Path) -> None:
     """Raise InputError that says what is there instead."""
+    marks = (*RESULT_FOLDER.contains, "lighting.json")
+    missing = [name for name in marks if not (folder / name).exists()]
+    if not missing:
+        return
+    found = f"one without {' and '.join(missing)}"
     if not folder.is_dir():
         found = "a file" if folder.exists() else "nothing"
-    else:
-        marks = (*RESULT_FOLDER.contains, "lighting.json")
-        missing = [name for name in marks if not (folder / name).exists()]
-        if not missing:
-            return
-        below = sorted(p.parent.name for p in folder.glob(f"*/{marks[0]}"))
-        if len(missing) < len(marks) and not is_scene(folder):
-            found = f"one without {missing[0]}"
-        elif is_scene(folder):
-            found = "a scene folder: run pbrfit decompose on it first"
-        elif below:
-            found = f"a folder of results: name one of them, such as {folder / below[0]}"
-        else:
-            found = f"a folder without {' and '.join(missing)}"
+    elif is_scene(folder):
+        found = "a scene folder: run pbrfit decompose on it first"
+    elif below := sorted(folder.glob(f"*/{marks[0]}")):
+        found = f"a folder of results: name one of them, such as {below[0].parent}"
     raise InputError(
         f"{folder}: expected a result folder, as pbrfit decompose writes it, found {found}"
     )
@@ -285,10 +280,9 @@ def model_of(content: Mapping[str, Any], file: Path) -> Model:
 
     Raises InputError if that is none; the message names the file.
     """
-    name = content.get("model")
-    for model in MODELS:
-        if name == model:
-            return model
+    name: Any = content.get("model")
+    if name in MODELS:
+        return name  # type: ignore[no-any-return]
     raise InputError(f"{file}: model: expected {' or '.join(MODELS)}, found {quoted(name)}")
 
 

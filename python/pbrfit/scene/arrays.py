@@ -745,6 +745,11 @@ def _warn_of_normals(
         )
 
 
+def storable_ids(ids: NDArray[np.integer[Any]], most: int) -> NDArray[np.integer[Any]]:
+    """Ids from 0 to `most`: the same, or where others are among them `consecutive_labels`."""
+    return ids if ids.min() >= 0 and ids.max() <= most else consecutive_labels(ids)[0]
+
+
 def consecutive_labels(ids: NDArray[np.integer[Any]]) -> tuple[NDArray[np.intp], int]:
     """Labels 1 … S in the order of the ids, of the shape of `ids`, and S; id 0 stays 0.
 

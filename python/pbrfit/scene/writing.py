@@ -18,7 +18,7 @@ from pbrfit.model import estimates
 from pbrfit.model.lamps import entries_of_lamps
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import nearest_inside, write_materials
-from pbrfit.scene.arrays import SceneArrays, Truth, consecutive_labels
+from pbrfit.scene.arrays import SceneArrays, Truth, storable_ids
 from pbrfit.scene.folder import MAX_ID, SCENE_FOLDER, SEGMENT_FILE
 
 
@@ -48,11 +48,9 @@ def save(scene: SceneArrays, path: Path, *, overwrite: bool = False) -> None:
         if scene.estimates is not None:
             estimates.write(folder / estimates.ESTIMATES_FILE, scene.estimates)
         if (segments := scene.segments) is not None:
-            # Other ids than 16 bits hold are numbered anew from 1, in their order.
-            if segments.min() < 0 or segments.max() > MAX_ID:
-                segments, count = consecutive_labels(segments)
-                if count > MAX_ID:
-                    raise InputError(f"segments: expected at most {MAX_ID} to save, found {count}")
+            segments = storable_ids(segments, MAX_ID)
+            if (count := segments.max()) > MAX_ID:
+                raise InputError(f"segments: expected at most {MAX_ID} to save, found {count}")
             images.write_png(folder / SEGMENT_FILE, segments.astype(np.uint16), tag=None)
         if scene.lighting is not None:
             Lighting(scene.names, scene.lighting).save(folder / "lighting.json")

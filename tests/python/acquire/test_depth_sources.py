@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from command_runs import done, refused
 from pbrfit import Scene
 from pbrfit._core import InputError
-from pbrfit.acquire import depth_anything, marigold
+from pbrfit.acquire import depth as depths
+from pbrfit.acquire import marigold
 from pbrfit.acquire.depth import with_offset
 from pbrfit.acquire.marigold import aligned_mean
 from pbrfit.io import images
@@ -192,7 +193,7 @@ def test_answers_of_depth_anything(
     def answer(*_: Any, **__: Any) -> Any:
         return (depth if metric else relative), metric, {"model": "tiny"}
 
-    monkeypatch.setattr(depth_anything, "from_picture", answer)
+    monkeypatch.setattr(depths, "by_depth_anything", answer)
     said = done("depth", folder, "--from", "depth-anything")
     assert ("in metres, as the network has it" in said) == metric
     assert ("inverse depth up to factor and offset" in said) != metric

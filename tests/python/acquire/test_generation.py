@@ -16,7 +16,7 @@ from PIL import Image
 
 from acquire_run import CATALOGUE, SIZE, Counting, Strict, failing, pixels, refusing, write_photo
 from pbrfit._core import InputError
-from pbrfit.acquire import depth_anything
+from pbrfit.acquire import depth as depths
 from pbrfit.acquire.generation import generate
 from pbrfit.acquire.generation_report import GenerationReport
 from pbrfit.acquire.generators import Request
@@ -103,7 +103,7 @@ def test_depth_is_made_beside_normals_and_agrees_with_them(
     for name, array in {"true": true, "noisy": noisy, "normals": directions}.items():
         np.save(tmp_path / f"{name}.npy", array)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(depth_anything, "from_picture", lambda *_, **__: (1 / noisy, False, {}))
+    monkeypatch.setattr(depths, "by_depth_anything", lambda *_, **__: (1 / noisy, False, {}))
     make(Counting(), normals=normals, depth=depth)
     record, found = reviewed(tmp_path / "scene")["depth"], Scene.load(tmp_path / "scene").depth
     assert (record and record["source"]) == source

@@ -318,7 +318,7 @@ def test_what_is_no_result_folder(folders: Path, tmp_path: Path) -> None:
         folders
     )
     (tmp_path / "empty").mkdir()
-    assert "found a folder without result.json and materials.exr" in message(tmp_path / "empty")
+    assert "found one without result.json and materials.exr" in message(tmp_path / "empty")
     shutil.copytree(folders / "room", tmp_path / "damaged")
     (tmp_path / "damaged" / "lighting.json").unlink()
     assert "found one without lighting.json" in message(tmp_path / "damaged")

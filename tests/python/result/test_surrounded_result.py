@@ -15,7 +15,8 @@ from pbrfit.batch.scenes import details
 from pbrfit.fit import compare, settings
 from pbrfit.fit import transport as fit_transport
 from pbrfit.report.inspection import facts
-from pbrfit.result.data import SEGMENT_MAX, storable_segments
+from pbrfit.result.data import SEGMENT_MAX
+from pbrfit.scene.arrays import storable_ids
 from pbrfit.transport.decision import Transport
 from pbrfit.transport.scenery import Scenery
 from relit import even, shaded_ball
@@ -149,12 +150,12 @@ def test_a_ball_throws_its_shadow_away_from_a_lamp() -> None:
 
 def test_ids_too_large_for_float32_are_counted_anew() -> None:
     small = np.array([[0, 7, 9]])
-    np.testing.assert_array_equal(storable_segments(small), small)
+    np.testing.assert_array_equal(storable_ids(small, SEGMENT_MAX), small)
     at = np.array([[0, SEGMENT_MAX]])
-    np.testing.assert_array_equal(storable_segments(at), at)
+    np.testing.assert_array_equal(storable_ids(at, SEGMENT_MAX), at)
     large = np.array([[7, SEGMENT_MAX + 1, 0, -3]])
-    np.testing.assert_array_equal(storable_segments(large), [[1, 2, 0, -1]])
-    np.testing.assert_array_equal(storable_segments(large[:, :2]), [[1, 2]])
+    np.testing.assert_array_equal(storable_ids(large, SEGMENT_MAX), [[2, 3, 0, 1]])
+    np.testing.assert_array_equal(storable_ids(large[:, :2], SEGMENT_MAX), [[1, 2]])
 
 
 def test_what_was_decided_is_said_and_what_was_found_before(

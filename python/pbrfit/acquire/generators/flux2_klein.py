@@ -9,7 +9,6 @@ weights and know no v₋, so with them neither can be asked for.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
@@ -24,6 +23,7 @@ from pbrfit.acquire import padding, weights
 from pbrfit.acquire.generators import Generated, Request, requests_from
 from pbrfit.acquire.photo import Photo
 from pbrfit.acquire.prompts import Catalogue
+from pbrfit.io.checks import finite
 
 MODEL = "black-forest-labs/FLUX.2-klein-base-4B"
 """The base checkpoint under Apache-2.0; FLUX.2-klein-4B is distilled from it."""
@@ -59,8 +59,7 @@ class Flux2Klein:
 
     def __post_init__(self) -> None:
         weights.need("diffusion", "torch", "diffusers", "transformers", "accelerate")
-        if not (math.isfinite(self.guidance) and self.guidance >= 0):
-            raise InputError(f"guidance: expected a number of 0 or more, found {self.guidance}")
+        finite("guidance", self.guidance, "a number of 0 or more", 0.0)
         if self.steps < 1:
             raise InputError(f"steps: expected at least 1, found {self.steps}")
 

@@ -26,11 +26,11 @@ from pbrfit.display.tone import encoded
 from pbrfit.model.reflection import Model, ggx_band_weights
 from pbrfit.report import figures, raster
 from pbrfit.report.html import address, in_base64
-from pbrfit.report.viewer import film, lobes, maps
+from pbrfit.report.viewer import film, maps
 from pbrfit.report.viewer.film import Tile
 from pbrfit.report.viewer.lights import Lighting, exposure_of
 from pbrfit.result import differences
-from pbrfit.result.differences import PALETTE
+from pbrfit.result.differences import palette
 from pbrfit.result.result import Result
 from pbrfit.result.verdict import PARAMETERS
 
@@ -99,7 +99,7 @@ def fragment(
         width=width,
         height=height,
         scale=figures.palette_stops(),
-        poor=figures.css(PALETTE[differences.VERMILLION]),
+        poor=figures.css(palette()[differences.VERMILLION]),
         tiles="".join(map(_tile, result.pictures, tiles)),
         compared="".join(
             f'<option value="{escape(name)}">{escape(name)}</option>'
@@ -169,7 +169,7 @@ def _tables(model: Model) -> dict[str, Any]:
     nodes = in_base64(table.astype("<f4").tobytes())
     found = {"environmentLobes": {"columns": columns * count, "rows": rows, "nodes": nodes}}
     if model == "principled":
-        return found | {"lobes": lobes.data()}
+        return found | {"lobes": maps.lobes()}
     bands, _ = ggx_band_weights(np.linspace(0, 1, BAND_NODES))
     return found | {"bands": [float(f"{value:.8g}") for value in bands.ravel()]}
 

@@ -94,21 +94,15 @@ def exposure_of(radiance: Array) -> float:
 
 def _split(result: Result) -> tuple[Array, list[tuple[Array, Array]]]:
     """SH light and lamps (directions, colours) of each picture."""
-    nothing = (np.zeros((0, 3)), np.zeros((0, 3)))
-    if result.lamps is None:
-        return np.asarray(result.lighting), [nothing] * len(result.pictures)
     directions, colors = result.lamps_seen()
-    lamps, sh = [], []
-    blurred = result.sh_lighting()
-    for i in range(len(result.pictures)):
-        of = result.lamps.pictures == i
-        if of.sum() <= MOST_LAMPS:
-            lamps.append((directions[of], colors[of]))
-            sh.append(result.lighting[i])
-        else:
-            lamps.append(nothing)
-            sh.append(blurred[i])
-    return np.array(sh), lamps
+    pictures = np.zeros(0, int) if result.lamps is None else result.lamps.pictures
+    lamps, sh = [], np.array(result.lighting)
+    for i, blurred in enumerate(result.sh_lighting()):
+        of = pictures == i
+        if of.sum() > MOST_LAMPS:
+            sh[i], of = blurred, np.zeros_like(of)
+        lamps.append((directions[of], colors[of]))
+    return sh, lamps
 
 
 def _radiance(maps: Maps, result: Result, sh: Array, lamps: tuple[Array, Array]) -> Array:
