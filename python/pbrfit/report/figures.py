@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from pbrfit.io.color import encode_srgb
 from pbrfit.report.html import address, in_base64
 from pbrfit.result import differences
-from pbrfit.result.differences import palette
+from pbrfit.result.differences import PALETTE
 from pbrfit.result.drawing import as_svg
 
 if TYPE_CHECKING:
@@ -57,13 +57,13 @@ def difference_key(what: str, marks: Mapping[str, int], *, degrees: bool = False
     With `degrees` that of angles between normals.
     """
     ticks = differences.tick_places(degrees=degrees)
-    patches = {label: css(palette()[index]) for label, index in marks.items()}
+    patches = {label: css(PALETTE[index]) for label, index in marks.items()}
     return _key(what, palette_stops(), ticks, patches)
 
 
 def palette_stops() -> str:
     """Colours of residuals, errors and deviations, from 0.001 to 1, as a gradient's stops."""
-    return ", ".join(map(css, differences.blue_to_yellow(np.linspace(0, 1, 17))))
+    return ", ".join(css(PALETTE[i]) for i in np.linspace(0, differences.STEPS - 1, 17).astype(int))
 
 
 def grey_key(what: str) -> str:
@@ -73,7 +73,8 @@ def grey_key(what: str) -> str:
 
 def range_key(what: str, ticks: Mapping[float, str]) -> str:
     """Key to a map in `differences.blue_to_yellow`, with labels by their share of the bar."""
-    return _key(what, palette_stops(), ticks, {})
+    colors = differences.blue_to_yellow(np.linspace(0, 1, 17))
+    return _key(what, ", ".join(map(css, colors)), ticks, {})
 
 
 def _key(what: str, stops: str, ticks: Mapping[float, str], patches: Mapping[str, str]) -> str:

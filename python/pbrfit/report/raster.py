@@ -11,7 +11,7 @@ from PIL import Image
 
 from pbrfit.display.tone import codes
 from pbrfit.io.resampling import averaged, averaged_channels, averaged_where, reduced_size
-from pbrfit.result.differences import OUTSIDE, Difference, palette
+from pbrfit.result.differences import OUTSIDE, PALETTE, Difference
 
 Values = NDArray[np.floating[Any]]
 
@@ -79,7 +79,7 @@ def photograph(encoded: Values) -> bytes:
 def difference_png(difference: Difference) -> bytes:
     """Encode a map of differences with its palette, transparent outside the mask."""
     image = Image.fromarray(difference.indices(), mode="P")
-    image.putpalette(np.rint(255 * palette()).astype(np.uint8).tobytes())
+    image.putpalette(np.rint(255 * PALETTE).astype(np.uint8).tobytes())
     if np.isnan(difference.values).any():
         image.info["transparency"] = OUTSIDE
     return _png(image)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.color import over_channels
+from pbrfit.io.color import encode_srgb, over_channels
 from pbrfit.model.materials import Materials
 from pbrfit.result.refinement import CHANGE_DEGREES_MIN
 from pbrfit.result.uncertainty import Uncertainty
@@ -31,16 +31,39 @@ TICKS = {0.001: "0.001", 0.003: "", 0.01: "0.01", 0.03: "", 0.1: "0.1", 0.3: "",
 DEGREE_TICKS = {0.1: "0.1°", 0.3: "", 1.0: "1°", 3.0: "", 10.0: "10°", 30.0: "30°"}
 """Labels by angle in degrees."""
 
+# Colours lie on a straight line in Oklab (B. Ottosson, "A perceptual color space for image
+# processing", 2020), from dark blue to light yellow: equal steps look equally large, also in grey
+# and to people with red or green blindness.
+
+FIRST = (0.22, -0.010, -0.085)
+LAST = (0.95, -0.040, 0.130)
+"""Ends of the line: lightness, green to red, blue to yellow. All of it lies within sRGB."""
+
+LMS_OF_OKLAB = np.array(
+    [
+        [1.0, 0.3963377774, 0.2158037573],
+        [1.0, -0.1055613458, -0.0638541728],
+        [1.0, -0.0894841775, -1.2914855480],
+    ]
+)
+"""To cube roots of cone responses."""
+
+RGB_OF_LMS = np.array(
+    [
+        [4.0767416621, -3.3077115913, 0.2309699292],
+        [-1.2684380046, 2.6097574011, -0.3413193965],
+        [-0.0041960863, -0.7034186147, 1.7076147010],
+    ]
+)
+"""From cone responses to linear Rec.709."""
+
 
 def blue_to_yellow(values: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
-    """Colours (..., 3), sRGB in [0, 1], of values (...,); those outside [0, 1] take the ends'.
-
-    Equal steps look equally large, also in grey and to people with red or green blindness: cividis
-    (J. R. Nuñez, C. R. Anderton and R. S. Renslow, PLoS ONE 13, 2018).
-    """
-    from matplotlib import colormaps
-
-    return np.asarray(colormaps["cividis"](np.clip(values, 0.0, 1.0)))[..., :3]
+    """Colours (..., 3), sRGB in [0, 1], of values (...,); those outside [0, 1] take the ends'."""
+    t = np.clip(values, 0, 1)[..., None]
+    oklab = (1 - t) * np.array(FIRST) + t * np.array(LAST)
+    linear = (oklab @ LMS_OF_OKLAB.T) ** 3 @ RGB_OF_LMS.T
+    return np.asarray(encode_srgb(linear))
 
 
 STEPS = 251
@@ -49,13 +72,15 @@ STEPS = 251
 WHITE, VERMILLION, OUTSIDE = STEPS, STEPS + 1, STEPS + 2
 """Indices of what is not on the scale."""
 
-MARKED = ((1.0, 1.0, 1.0), (0.84, 0.37, 0.0), (0.85, 0.85, 0.85))
-"""Their colours; vermillion is told apart from the others by all common colour vision."""
-
-
-def palette() -> NDArray[np.float64]:
-    """(254, 3) sRGB in [0, 1]."""
-    return np.concatenate([blue_to_yellow(np.linspace(0, 1, STEPS)), MARKED])
+PALETTE = np.concatenate(
+    [
+        blue_to_yellow(np.linspace(0, 1, STEPS)),
+        # Vermillion is told apart from the scale, from white and from grey by all common colour
+        # vision.
+        [[1.0, 1.0, 1.0], [0.84, 0.37, 0.0], [0.85, 0.85, 0.85]],
+    ]
+)
+"""(254, 3) sRGB in [0, 1]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +94,7 @@ class Difference:
     """(H, W) bool: pixels with a colour of their own instead; None = none."""
 
     def indices(self) -> NDArray[np.uint8]:
-        """(H, W) into `palette()`."""
+        """(H, W) into `PALETTE`."""
         share = on_scale(np.where(np.isfinite(self.values), self.values, 1.0))
         found = np.rint(share * (STEPS - 1)).astype(np.uint8)
         for index, marked in ((WHITE, self.white), (VERMILLION, self.vermillion)):

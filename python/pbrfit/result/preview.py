@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pbrfit.model.materials import Materials
 from pbrfit.result import differences, metrics
 from pbrfit.result.data import ResultData
-from pbrfit.result.differences import Difference, palette
+from pbrfit.result.differences import PALETTE, Difference
 from pbrfit.result.relighting import DirectionalLight, relight
 from pbrfit.result.sheet import Key, Panel, Row, displayed, outside_grey, sheet
 from pbrfit.result.verdict import MARKS, PARAMETERS
@@ -182,9 +182,9 @@ def _differences(maps: Mapping[str, Difference]) -> Row:
 
 
 def _key(caption: str, ticks: Mapping[float, str], marks: Mapping[str, int]) -> Key:
-    patches = {label: palette()[index] for label, index in marks.items()}
-    return Key(caption, palette()[: differences.STEPS], ticks, patches)
+    patches = {label: PALETTE[index] for label, index in marks.items()}
+    return Key(caption, PALETTE[: differences.STEPS], ticks, patches)
 
 
 def _painted(difference: Difference) -> NDArray[np.float64]:
-    return palette()[difference.indices()]
+    return PALETTE[difference.indices()]

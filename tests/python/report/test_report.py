@@ -34,7 +34,7 @@ from pbrfit.report.page import REFLECTION
 from pbrfit.report.verdict import CLASSES
 from pbrfit.result.advice import next_steps
 from pbrfit.result.camera import Camera
-from pbrfit.result.differences import WHITE, palette
+from pbrfit.result.differences import PALETTE, WHITE
 from pbrfit.result.verdict import ROUGH_MAX
 from pbrfit.synthetic import make_scene
 from pbrfit.transport.decision import Transport
@@ -259,7 +259,7 @@ def test_errors_and_deviations_have_the_colours_of_the_scale(page: Page, folder:
     for alt, values in shares.items():
         found = np.asarray(page.picture(alt).convert("RGB"))
         steps = np.rint(250 * np.clip(np.log10(np.maximum(values, 1e-9)) / 3 + 1, 0, 1))
-        expected = np.rint(255 * palette()[steps.astype(int)])
+        expected = np.rint(255 * PALETTE[steps.astype(int)])
         if "deviation" in alt:
             expected[values == 0] = 255
             expected[values > ROUGH_MAX["roughness"]] = (214, 94, 0)

@@ -111,6 +111,6 @@ def test_how_far_off_normals_may_be_is_a_panel_with_a_key() -> None:
     assert found.shape[1] == without.shape[1] + PANEL_SIDE[0] + MARGIN
     assert found.shape[0] > without.shape[0] + LINE
     panel = found[TITLE + LINE + MARGIN :, MARGIN + 2 * (PANEL_SIDE[0] + MARGIN) :]
-    low, high = (tuple(np.rint(255 * differences.palette()[i])) for i in (0, differences.STEPS - 1))
+    low, high = (tuple(np.rint(255 * differences.PALETTE[i])) for i in (0, differences.STEPS - 1))
     assert tuple(panel[90, 40]) == low
     assert tuple(panel[90, 150]) == high

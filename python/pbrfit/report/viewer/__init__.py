@@ -30,7 +30,7 @@ from pbrfit.report.viewer import film, maps
 from pbrfit.report.viewer.film import Tile
 from pbrfit.report.viewer.lights import Lighting, exposure_of
 from pbrfit.result import differences
-from pbrfit.result.differences import palette
+from pbrfit.result.differences import PALETTE
 from pbrfit.result.result import Result
 from pbrfit.result.verdict import PARAMETERS
 
@@ -99,7 +99,7 @@ def fragment(
         width=width,
         height=height,
         scale=figures.palette_stops(),
-        poor=figures.css(palette()[differences.VERMILLION]),
+        poor=figures.css(PALETTE[differences.VERMILLION]),
         tiles="".join(map(_tile, result.pictures, tiles)),
         compared="".join(
             f'<option value="{escape(name)}">{escape(name)}</option>'
