@@ -18,7 +18,7 @@ from pbrfit.export import export_result
 from pbrfit.model.geometry import angles_between
 from pbrfit.model.reflection import render
 from pbrfit.report import write_report
-from pbrfit.result.differences import WHITE, palette, turned
+from pbrfit.result.differences import PALETTE, WHITE, turned
 from pbrfit.result.refinement import CHANGE_DEGREES_MIN, CHOICES, NOT_ASKED, Refinement, hindrance
 from pbrfit.synthetic import make_scene
 from refined import LARGEST, degrees_of, refined
@@ -239,7 +239,7 @@ def test_the_page_shows_given_and_refined_normals_and_the_decision(
         expected = np.rint(255 * (0.5 + 0.5 * normals))
         np.testing.assert_array_equal(found[result.mask], expected[result.mask])
     found = np.asarray(page.picture("Angle between given and refined normals").convert("RGBA"))
-    expected = np.rint(255 * palette()[turned(change).indices()])
+    expected = np.rint(255 * PALETTE[turned(change).indices()])
     np.testing.assert_array_equal(found[result.mask][:, :3], expected[result.mask])
     assert (found[~result.mask][:, 3] == 0).all()
     words = f"The normals were {result.refinement.in_words()}."
