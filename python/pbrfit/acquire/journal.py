@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.acquire.generators import Generated, Refused, Request
+from pbrfit.acquire.padding import read_srgb8
 from pbrfit.acquire.photo import Photo
-from pbrfit.acquire.received import read_srgb8
 from pbrfit.io import images
 from pbrfit.io.input_files import PICTURE_BYTES, read_bytes
 from pbrfit.io.json_files import UNFIT, read_as, read_json, table, whole, words, write_json

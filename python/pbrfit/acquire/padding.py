@@ -1,4 +1,4 @@
-"""Sizes that a network takes: a picture padded or scaled to one, and exactly back.
+"""Sizes that a network takes: a picture padded or scaled to one, and read and cut exactly back.
 
 Networks take whole blocks of pixels, and pipelines cut off or stretch what does not fit, which
 moves every pixel. Here nothing is cut: a picture is padded on all sides with its own mirror image
@@ -12,17 +12,23 @@ in both directions, so the way there and back moves nothing, whatever the sizes 
 
 from __future__ import annotations
 
+import io
 import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from pbrfit._core import InputError
 from pbrfit.io.color import decode_srgb, encode_srgb
+from pbrfit.io.exif import without_warnings
+from pbrfit.io.quoting import shown
 from pbrfit.io.resampling import averaged
+
+FORMATS = ("PNG", "JPEG", "WEBP")
+"""What services send, by Pillow's names; its other readers are not asked."""
 
 
 @dataclass(frozen=True)
@@ -155,3 +161,14 @@ def resized(pixels: NDArray[np.floating[Any]], size: tuple[int, int]) -> NDArray
             )
         result[..., k] = plane
     return result
+
+
+def read_srgb8(data: bytes) -> NDArray[np.uint8]:
+    """Pixels (H, W, 3), uint8, of the bytes of a picture file; ValueError if they are none."""
+    try:
+        with without_warnings(), Image.open(io.BytesIO(data), formats=FORMATS) as picture:
+            return np.asarray(picture.convert("RGB"))
+    except UnidentifiedImageError:
+        raise ValueError(f"no {', '.join(FORMATS)}") from None
+    except Exception as error:  # whatever damage leads Pillow to, such as SyntaxError
+        raise ValueError(f"{type(error).__name__}: {shown(error)}") from None

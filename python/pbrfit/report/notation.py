@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-_SUBSCRIPT = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 
 
 def scientific(value: float) -> str:
@@ -35,8 +34,3 @@ def percent(share: float) -> str:
 def angle(degrees: float) -> str:
     """Write an angle in whole degrees, with the sign for minus: −37°."""
     return f"{round(degrees)}°".replace("-", "−")
-
-
-def band(index: int) -> str:
-    """Name a band weight: h₃."""
-    return f"h{index}".translate(_SUBSCRIPT)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Literal, Self, get_args
+from typing import Any, Literal, Self, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -15,25 +15,13 @@ from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io.checks import of_what, one_of, real_array
 from pbrfit.io.color import ColorSpace
-from pbrfit.io.depth_files import METRES
 from pbrfit.io.images import Orientation
 from pbrfit.io.normal_files import Convention
 from pbrfit.io.quoting import quoted
 from pbrfit.model import geometry
-from pbrfit.model.reflection import MODELS, Model
+from pbrfit.model.reflection import Model
 
 Alpha = Literal["mask", "ignore"]
-
-CHOICES: dict[str, tuple[str, ...]] = {
-    "color_space": get_args(ColorSpace),
-    "orientation": get_args(Orientation),
-    "alpha": get_args(Alpha),
-    "normals": ("opengl", "directx"),
-    "normals_frame": ("camera", "world"),
-    "depth_unit": tuple(METRES),
-    "model": MODELS,
-}
-"""What options of these names may be, beside None."""
 
 CROP = "X,Y,W,H, whole pixels, X and Y 0 or more, W and H 1 or more"
 
@@ -70,10 +58,10 @@ class ReadOptions:
         if self.fov is not None:
             geometry.check_fov(self.fov)
             object.__setattr__(self, "fov", float(self.fov))
-        for name, choices in CHOICES.items():
-            found = getattr(self, name, None)
-            if found is not None:
-                one_of(name, found, choices)
+        for name, kind in get_type_hints(type(self)).items():
+            choices = [of for of in (kind, *get_args(kind)) if get_origin(of) is Literal]
+            if choices and (given := getattr(self, name)) is not None:
+                one_of(name, given, choices[0])
         if not isinstance(self.layer, str | None):
             raise InputError(f"layer: expected a name, found {of_what(self.layer)}")
         if self.max_size is not None:
@@ -142,13 +130,12 @@ AS_STATED = ReadOptions()
 class Settings(ReadOptions):
     """Keys of `scene.toml`: how its files are to be read, and what else is known of them."""
 
-    normals: str = "opengl"
-    """Either "opengl" (Y up) or "directx" (Y down)."""
-    normals_frame: str = "camera"
-    """Either "camera" or "world"."""
+    normals: Literal["opengl", "directx"] = "opengl"
+    """Y up, or Y down."""
+    normals_frame: Literal["camera", "world"] = "camera"
     world_to_camera: Any = None
     """(3, 3) rotation, needed when the frame is "world"; kept as float64."""
-    depth_unit: str | None = None
+    depth_unit: Literal["m", "cm", "mm"] | None = None
     """Of the numbers in the depth file, which become metres; None = any unit, as stored."""
     model: Model | None = None
     """That the pictures were rendered with, "paper" or "principled"; None = none, or unknown."""

@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.acquire.generators import Generated, Refused, Request, requests_from
-from pbrfit.acquire.padding import GPT_IMAGE_2, Frame, frame, resized_srgb8
+from pbrfit.acquire.padding import GPT_IMAGE_2, Frame, frame, read_srgb8, resized_srgb8
 from pbrfit.acquire.photo import Photo
 from pbrfit.acquire.prompts import Catalogue
-from pbrfit.acquire.received import read_srgb8
 from pbrfit.acquire.weights import need
 from pbrfit.io import images
 from pbrfit.io.checks import one_of
