@@ -7,9 +7,10 @@ others is fitted, and what is left of these, in the files' own values, so that d
 compare, has a score (`pbrfit.fit.left_out`).
 
 The lowest score wins; but the curve that the files are said to have stays unless another is better
-by more than two standard errors under some light, and is out then; surroundings and other normals
-than the given ones have to gain as much, and the material prior as much in each picture. What
-explains the pictures but for rounding, or leaves nothing but noise, ends the comparison.
+by more than two standard errors under some light. It is out then, unless that is as much worse
+than the best. Surroundings and other normals than the given ones have to gain as much, and the
+material prior as much in each picture. What explains the pictures but for rounding, or leaves
+nothing but noise, ends the comparison.
 """
 
 from __future__ import annotations
@@ -359,7 +360,9 @@ class _Comparison:
         if (kind.response == said) == refuted:
             same = [one for one in results if one.explanation.light == kind.light]
             allowed = [one for one in same if (one.explanation.response == said) != refuted]
-            best = min(allowed, key=SCORE, default=best)
+            other = min(allowed, key=SCORE, default=best)
+            # What refutes a curve under one light is outweighed where it is surely best under all.
+            best = best if refuted and other.is_worse(best, errors) else other
         for plainer in ({"surroundings": "none"}, {"free_normals": False}):
             kind = replace(best.explanation, **plainer)
             plain = next((one for one in results if one.explanation == kind), best)

@@ -242,6 +242,24 @@ def test_rounding_is_noise_of_float32_and_up_to_twice_the_deviation_of_files(
     assert explained(SH, 2 * shared / 255, rounding=1 / 255**2).is_noise == noise
 
 
+@pytest.mark.parametrize(("by_linear", "chosen"), [(0.17, "srgb"), (0.1, "linear")])
+def test_a_refuted_curve_stays_where_the_other_is_surely_worse(
+    by_linear: float, chosen: Curve
+) -> None:
+    """Lamps and the files' curve are best; environment light refutes that curve."""
+    left: dict[tuple[Curve, LightKind], float] = {
+        ("srgb", "sh"): 0.2,
+        ("linear", "sh"): 0.15,
+        ("srgb", "lamps"): 0.1,
+        ("linear", "lamps"): by_linear,
+    }
+    compared = compare._Comparison(replace(room(), response="srgb"), setup())
+    for seed, ((response, light), shared) in enumerate(left.items()):
+        kind = Explanation(response, light, 0.0, "none")
+        compared._tried[kind] = [explained(kind, shared + white(0.15, seed))]
+    assert compared._simplest().explanation == Explanation(chosen, "lamps", 0.0, "none")
+
+
 def test_nothing_is_compared_where_it_cannot_be_or_all_is_told() -> None:
     scene = room(8, lights=4)
     mask = np.arange(64).reshape(8, 8) < 31
