@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +16,6 @@ from pbrfit.acquire.photo import Photo
 from pbrfit.acquire.rounds import Attempt, Picture
 from pbrfit.io.json_files import as_json
 from pbrfit.result.sheet import OUTSIDE, Panel, sheet
-
-if TYPE_CHECKING:
-    pass
 
 FILE, SHEET = "review.json", "review.png"
 

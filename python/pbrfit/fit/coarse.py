@@ -103,7 +103,7 @@ def rounds(
         if shared is not None:
             weight = 0.0 if exact else min(weight, left.design_effect * left.variance)
             shared.lights = shared.lights.weighing(weight, left.variance, objective.pixels)
-            fit = shared.joint_fit(objective, x, sum_sq, prior=prior, stop=run.out_of_time)
+            fit = JointFit(objective, x, sum_sq, shared, prior, run.out_of_time)
             minimize(fit, settings.COARSE_STEPS, settings.COARSE_GAIN_MIN, watch.visit)
             total, sum_sq = fit.total(x, fit.sum_sq, fit.offsets), fit.sum_sq
         if normals is not None:
@@ -204,10 +204,10 @@ def left_of(
     share = misfit.independent_share(objective, x)
     if shared is None:
         return Misfit(variance, 1.0, share, of_files)
-    fit = JointFit(objective, x, sum_sq, shared, prior, lambda: False)
+    fit = JointFit(objective, x, sum_sq, shared, prior)
     if shared.is_stale(fit.size):
         shared.lights = shared.lights.weighing(variance, variance, objective.pixels)
-        fit.lights = shared.lights.of_pixels(objective.pixels)
+        fit = JointFit(objective, x, sum_sq, shared, prior)
         fit.renew_preconditioner()
     finer = round(math.sqrt(len(level.pixels) / settings.COARSE_PIXELS))
     patches, effect = level.patches(settings.PATCH_SIDE * max(finer, 1)), 1.0

@@ -110,7 +110,7 @@ def choose(scene: Scene, setup: FitSetup, *, start_given: bool = False) -> Choic
     """
     told = start_given or setup.options.solver != "gauss-newton"
     compared = _Comparison(scene, setup, told=told)
-    contradicted = contradiction(scene, setup.options.model)
+    contradicted = contradiction(scene, compared.reduced, setup.options.model)
     return replace(compared.best(), contradiction=contradicted)
 
 
@@ -121,9 +121,10 @@ class _Comparison:
         self._scene, self._setup, self._options = scene, setup, setup.options
         # Pixels with normals stay as exact as they are; without, neighbours tell the shape.
         if scene.normals_known:
-            self._few: Scene = cut(scene, strided_window(scene.valid, settings.COMPARE_PIXELS))
+            self.reduced: Scene = cut(scene, strided_window(scene.valid, settings.COMPARE_PIXELS))
         else:
-            self._few = without_shape(scene)
+            self.reduced = without_shape(scene)
+        self._few = self.reduced
         pixels = int(np.count_nonzero(self._few.valid))
         shown = [
             np.count_nonzero((_weights(self._few, i) > 0).any(axis=-1))

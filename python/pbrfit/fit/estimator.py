@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit import lbfgsb, misfit, settings
 from pbrfit.fit.coarse import Lights, Watch, judged, left_of, rounds
-from pbrfit.fit.joint import minimize
+from pbrfit.fit.joint import JointFit, minimize
 from pbrfit.fit.levels import Level
 from pbrfit.fit.misfit import Misfit
 from pbrfit.fit.nuisances import Nuisances
@@ -271,7 +271,7 @@ def move_lights(run: Run, x: Array, lights: Lights, prior: GaussianPrior | None)
             break
         last, variance = variance, min(variance, misfit.variance(few, sum_sq))
         shared.lights = shared.lights.times(variance / last if last else 1.0)
-        fit = shared.joint_fit(few, part, sum_sq, prior=rows, stop=run.out_of_time)
+        fit = JointFit(few, part, sum_sq, shared, rows, run.out_of_time)
         minimize(fit, settings.GLOBAL_STEPS_MAX, gain, visit)
         more = prior is None and total - float(sum_sq.sum()) > gain * misfit.variance(few, sum_sq)
         if not more or not run.goes_on:

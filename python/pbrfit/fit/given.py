@@ -95,15 +95,17 @@ class Contradiction:
         return f"{self.why}; try {self.remedy}"
 
 
-def contradiction(scene: Scene, model: Model | None = None) -> Contradiction | None:
+def contradiction(
+    scene: Scene, averaged: Scene | None = None, model: Model | None = None
+) -> Contradiction | None:
     """What is contradicted of a scene's normals, lights, depth and segments: one, or nothing.
 
     Lamps are looked at where there is one in each picture; without normals, where there are four or
-    more, far away: three fit any normal. Known lights are reflected by `model`, else by that of the
-    pictures.
+    more, far away: three fit any normal. `averaged` is such a scene as `without_shape` gives it.
+    Known lights are reflected by `model`, else by that of the pictures.
     """
     return (
-        _of_normals_and_lights(scene)
+        _of_normals_and_lights(scene, averaged)
         or _of_strength(scene, model)
         or _of_depth(scene)
         or _of_segments(scene)
@@ -166,14 +168,14 @@ def _of_segments(scene: Scene) -> Contradiction | None:
     return Contradiction("segments", said, "the segments of this picture")
 
 
-def _of_normals_and_lights(scene: Scene) -> Contradiction | None:
+def _of_normals_and_lights(scene: Scene, averaged: Scene | None) -> Contradiction | None:
     lamps = scene.lamps
     if lamps is not None and not np.array_equal(lamps.pictures, np.arange(len(scene.images))):
         lamps = None
     if not scene.normals_known:
         if lamps is None or lamps.near.any() or len(lamps) < 4:
             return None
-        return _of_lamps(_Matt(without_shape(scene)))
+        return _of_lamps(_Matt(averaged or without_shape(scene)))
     away = facing_away(scene.normals[scene.valid], scene.views[scene.valid]).mean()
     if away > AWAY_MAX:
         said = f"{100 * away:.0f} % of the normals face away from the camera"

@@ -54,9 +54,9 @@ class SharedFit:
     size: int = 0
     """Of v."""
     worth: float = 0.0
-    """Products with S that cost as much as making it anew."""
+    """Products with S, times the pixels of S, that cost as much as making it anew."""
     spent: int = 0
-    """Products since it was made."""
+    """Those since it was made."""
 
     def is_stale(self, size: int) -> bool:
         """Whether it is to be made anew for so many unknowns: others, or what it cost is spent."""
@@ -66,18 +66,6 @@ class SharedFit:
         """About S⁻¹ v of an objective's pixels; for v of the lights alone, the others held."""
         assert self.inverse is not None
         return self.inverse(v) / objective.pixels
-
-    def joint_fit(
-        self,
-        objective: Objective,
-        x: Array,
-        sum_sq: Array,
-        *,
-        prior: GaussianPrior | None = None,
-        stop: Stop = lambda: False,
-    ) -> JointFit:
-        """Of some pixels with their prior."""
-        return JointFit(objective, x, sum_sq, self, prior, stop)
 
 
 @dataclass(eq=False)
@@ -92,8 +80,8 @@ class JointFit:
     x: Array
     sum_sq: Array
     shared: SharedFit
-    prior: GaussianPrior | None
-    stop: Stop
+    prior: GaussianPrior | None = None
+    stop: Stop = lambda: False
     damping: float = 0.0
 
     def __post_init__(self) -> None:
@@ -161,7 +149,7 @@ class JointFit:
         others = np.empty(0) if self.offsets is None else self._offset_precision.ravel()
         made, factored = preconditioner(few, part, times, self.lights, others, options)
         self.shared.inverse, self.shared.size = made, self.size
-        self.shared.worth = factored**2 * few.pixels / (4 * self.size * self.objective.pixels)
+        self.shared.worth = factored**2 * few.pixels / (4 * self.size)
         self.shared.spent = 0
 
     def _system(self) -> tuple[Array, Callable[[Array], Array]]:
@@ -210,10 +198,12 @@ class JointFit:
             solved,
             ratio=ratio,
             enough=enough,
-            at_most=max(settings.CG_ITERATIONS_MAX, round(self.shared.worth)),
+            at_most=max(
+                settings.CG_ITERATIONS_MAX, round(self.shared.worth / self.objective.pixels)
+            ),
             stop=self.stop,
         )
-        self.shared.spent += number
+        self.shared.spent += number * self.objective.pixels
         return moves
 
     def step(self, moves: Array, total: float) -> float | None:

@@ -260,6 +260,12 @@ class Run(Trace):
         later._last = math.nan, math.nan
         return later
 
+    def through(self, scene: Scene) -> Run:
+        """The same with a scene of other normals."""
+        later = copy.copy(self)
+        later.scene = scene
+        return later
+
     def see(self, nuisances: Nuisances) -> None:
         """Take the camera that was fitted: from here on all pixels see through it."""
         self.scene = nuisances.scene

@@ -170,7 +170,7 @@ def _at_end(
     else:
         prior = GaussianPrior(prior.prior_mean(x)[pixels], prior.precision[pixels])
     shared = SharedFit(LightPrior.around(few, part).weighing(noise, noise, few.pixels))
-    fit = shared.joint_fit(few, part, sum_sq, prior=prior)
+    fit = JointFit(few, part, sum_sq, shared, prior)
     return fit, noise / misfit.independent_share(few, part), pixels
 
 

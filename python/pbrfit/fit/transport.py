@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import misfit, settings
-from pbrfit.fit.joint import SharedFit, minimize
+from pbrfit.fit.joint import JointFit, SharedFit, minimize
 from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import fit_level
@@ -175,7 +175,7 @@ class _Search:
                 sum_sq = fit_level(few, x)
                 variance = misfit.variance(few, sum_sq)
                 shared.lights = shared.lights.weighing(variance, variance, few.pixels)
-                fit = shared.joint_fit(few, x, sum_sq, stop=self._out_of_time)
+                fit = JointFit(few, x, sum_sq, shared, stop=self._out_of_time)
                 minimize(fit, settings.COARSE_STEPS, 1.0)
             other[left_out.layout.maps.stop :] = x[few.layout.maps.stop :]
         shown = self._size > 0

@@ -158,15 +158,15 @@ def fit_pixels(
         x = np.clip(x, *objective.bounds.T)
     run, given = Run(setup, scene, objective), start is not None
     state = refined_fit.fit(run, x, make, start_given=given, refines=setup.refines)
-    run = state.run
     asked, why = setup.options.refine_normals, setup.why_normals
     refined = False
     if setup.refines:
-        turned = angles_between(run.scene.normals, scene.normals)[scene.valid]
+        turned = angles_between(state.run.scene.normals, scene.normals)[scene.valid]
         refined = bool(turned.max() >= CHANGE_DEGREES_MIN)
     if setup.refines and not refined:
         # All pixels were given theirs back, or found that they had been right, or had no time.
-        run.scene = scene.through(run.scene.fov)
+        run = state.run.through(scene.through(state.run.scene.fov))
+        state = replace(state, run=run)
         why = "no other normals explain the pictures better"
         why = refined_fit.OUT_OF_TIME if run.out_of_time() else why
     return _with_scale(state, setup.options), Refinement(asked, refined, why)

@@ -58,7 +58,7 @@ def joint_fit(objective: Objective, priors: str = "alone", **options: Any) -> Jo
         fixed = GaussianPrior(prior.prior_mean(x), prior.precision)
     sum_sq = fitted(objective, x, fixed)
     lights = replace(LightPrior.around(objective, x), noise=1e-4, grey=1e-5)
-    return SharedFit(lights).joint_fit(objective, x, sum_sq, prior=prior, **options)
+    return JointFit(objective, x, sum_sq, SharedFit(lights), prior, **options)
 
 
 def settled(fit: JointFit) -> JointFit:
@@ -80,7 +80,7 @@ def settled(fit: JointFit) -> JointFit:
         cluster = None if prior.cluster is None else prior.cluster[chosen]
         blocks = few.layout.roughness_metallic
         prior = GaussianPrior(prior.mean[chosen], prior.precision[chosen], cluster, blocks)
-    found = fit.shared.joint_fit(few, part, sum_sq[at_best], prior=prior)
+    found = JointFit(few, part, sum_sq[at_best], fit.shared, prior)
     found.offsets = fit.offsets
     return found
 
@@ -174,7 +174,7 @@ def test_planted_lights_are_found(room: Scene) -> None:
     assert lights is not None
     x[lights] *= rng.uniform(0.9, 1.1, x[lights].shape)
     shared = SharedFit(LightPrior.around(objective, x))
-    fit = shared.joint_fit(objective, x, fitted(objective, x))
+    fit = JointFit(objective, x, fitted(objective, x), shared)
     minimize(fit, 60, 0.0)
     assert fit.sum_sq.sum() <= EXACT**2 * objective.total_weight
     found, planted = (of[lights].reshape(8, 16, 3) for of in (x, true))

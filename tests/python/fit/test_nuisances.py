@@ -46,7 +46,7 @@ def minimum(objective: Objective, x: Array, lights: LightPrior, rounds: int = 4)
     shared = SharedFit(lights)
     for _ in range(rounds):
         sum_sq = known(fit_all(objective, x, starts=0))
-        fit = shared.joint_fit(objective, x, sum_sq)
+        fit = JointFit(objective, x, sum_sq, shared)
         minimize(fit, 20, 1e-4)
     return fit
 

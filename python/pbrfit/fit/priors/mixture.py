@@ -44,7 +44,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
-from pbrfit.fit.joint import SharedFit, minimize
+from pbrfit.fit.joint import JointFit, SharedFit, minimize
 from pbrfit.fit.normal_equations import albedo_solved_for
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.gaussian import GaussianPrior
@@ -165,7 +165,7 @@ def with_lights(
             sigma_min = settings.SPREAD_MIN
         prior = posterior.prior(sigma_min, strength * variance, few)
         sum_sq = _put(few, part, prior.mean)
-        fit = shared.joint_fit(few, part, sum_sq, prior=prior, stop=stop)
+        fit = JointFit(few, part, sum_sq, shared, prior, stop)
         minimize(fit, steps, settings.GAIN_MIN)
         x[objective.layout.maps.stop :] = part[few.layout.maps.stop :]
     return x
