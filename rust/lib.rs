@@ -24,6 +24,7 @@
 //! | [`schur`] | pixels and lights together: Gauss–Newton Hessians and the Schur complement |
 //! | [`lamps`] | direct light of lamps with its derivatives, and pixels one by one under known lamps |
 //! | [`environment`] | panoramas, blurred, as light of the full models |
+//! | [`poisson`] | heights that slopes of neighbours tell; it uses `runtime` alone |
 //! | [`image_file`] | picture files; it uses `runtime` alone |
 //! | `python` | the extension module, the one place that names pyo3 and numpy |
 
@@ -32,6 +33,7 @@ pub mod environment;
 pub mod image_file;
 pub mod lamps;
 pub mod pixel;
+pub mod poisson;
 pub mod problem;
 #[cfg(feature = "python")]
 mod python;

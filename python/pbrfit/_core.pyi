@@ -69,6 +69,15 @@ def shade_vjp(
     cotangent: NDArray[np.float64],
     model: str = "paper",
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...
+def poisson_heights(
+    across: NDArray[np.float64],
+    down: NDArray[np.float64],
+    held: NDArray[np.float64],
+    right: NDArray[np.float64],
+    start: NDArray[np.float64],
+    enough: float,
+    threads: int,
+) -> NDArray[np.float64]: ...
 def render(
     normals: NDArray[np.float64],
     views: NDArray[np.float64],

@@ -31,7 +31,7 @@ FILES_MIN = 16
 """Least number of files that a process may have open: 6 do for a scene, libraries and workers have
 some for a time, and Python takes one that it cannot open for one that is not there."""
 
-LIBRARIES = ("fft", "linalg", "ndimage", "optimize", "sparse.csgraph", "sparse.linalg", "spatial")
+LIBRARIES = ("fft", "linalg", "ndimage", "optimize", "sparse.csgraph", "spatial")
 """Parts of scipy that a fit loads as it comes to them, `special` with them."""
 
 M_ARENA_MAX = -8

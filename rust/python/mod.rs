@@ -10,6 +10,7 @@ mod image_file;
 mod images;
 mod lamps;
 mod model;
+mod poisson;
 mod problem;
 mod surroundings;
 
@@ -77,6 +78,8 @@ mod _core {
     use super::model::{
         ggx_band_weights, lobe_functions, lobe_table_file, render, sh_basis, shade, shade_vjp,
     };
+    #[pymodule_export]
+    use super::poisson::poisson_heights;
     #[pymodule_export]
     use super::problem::{PyKeptSystem, PyProblem};
     #[pymodule_export]

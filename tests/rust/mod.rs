@@ -4,6 +4,7 @@ mod environment;
 mod lamps;
 mod normals;
 mod objective;
+mod poisson;
 
 use glam::DVec3;
 use pbrfit::reflectance::planes::Material;

@@ -170,7 +170,7 @@ def decompose(
         found = fit_lamps(scene, setup, start_shape, chosen.found)
         if start_shape is not None:
             with trace.stage("height"):
-                height = height_of(found.normals, scene)
+                height = height_of(found.normals, scene, threads)
             stages = (*found.stages, trace.stages[-1])
             found = replace(found, height=height, stages=stages, seconds=trace.elapsed)
             scene = replace(scene, normals=found.normals, normals_known=True)

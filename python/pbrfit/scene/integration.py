@@ -27,28 +27,23 @@ their median, and this is repeated; the first residuals are those of the depth t
 Neighbours in different segments count `BORDER_WEIGHT`, so much that segments without depth hang
 together. Pixels without normals are bridged by `BRIDGE_WEIGHT`, with the least slope.
 
-**Solution.** The matrix is a weighted Laplacian: conjugate gradients, with smoothed aggregation
-(Vaněk, Mandel and Brezina, Computing 56, 1996) as preconditioner, need a number of steps that
-hardly depends on the size, so time is about linear in the pixels.
+**Solution.** The equations are Poisson's, with weights; the core solves them by conjugate gradients
+with multigrid as preconditioner, in a number of steps that does not depend on the size.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit._core import InputError
+from pbrfit._core import InputError, poisson_heights
 from pbrfit.io.checks import any_array
 from pbrfit.model import geometry
 from pbrfit.scene.depth import without_holes
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
 
 Array = NDArray[np.float64]
 
@@ -73,18 +68,12 @@ RESIDUAL_SCALE = 3 * 1.4826
 ROUNDS = 6
 """Times that the equations are solved, weights of residuals found in between."""
 
-TOLERANCE, ROUGH_TOLERANCE = 1e-7, 1e-3
-"""Norm of the residual of solved linear equations, relative to their right side; of those that only
-weights are found from, which move by less than that."""
+TOLERANCE, ROUGH_TOLERANCE = 1e-3, 1e-2
+"""Error of solved equations as a share of what they leave of the slopes, both as roots of weighted
+squares, so of normals' own error; and where only weights are found from the solution."""
 
-ITERATIONS_MAX = 500
-"""Steps of conjugate gradients at most."""
-
-DIRECT_MAX = 1500
-"""Unknowns up to which the linear equations are factorised."""
-
-STRONG = 0.08
-"""Coupling a_ij²/(a_ii a_jj) from the square of which on unknowns are aggregated."""
+EXACT = 1e-7
+"""Share of all slopes that no solution is asked to be better than: rounding to float32."""
 
 
 def depth_from_normals(
@@ -93,6 +82,8 @@ def depth_from_normals(
     mask: NDArray[np.bool_] | None = None,
     segments: NDArray[np.integer[Any]] | None = None,
     depth: NDArray[np.floating[Any]] | None = None,
+    *,
+    threads: int = 0,
 ) -> NDArray[np.float32]:
     """Depth of a surface with given normals; the module says by which equations.
 
@@ -115,23 +106,24 @@ def depth_from_normals(
     if not known.any():
         raise InputError("normals: expected some in the mask, found none")
     unit: Array = np.where(known[..., None], normals, 0.0).astype(np.float64)
-    edges = _Edges.of(unit, known, fov, segments)
-    pixels = edges.pixels_per_unit
+    pairs = _Pairs.of(unit, known, fov, segments)
 
-    given, data = np.zeros((2, known.size))  # data is λ/p² where depth is given
+    given, data = np.zeros((2, *shape))  # data is λ/p² where depth is given
     if depth is not None:
         distances = without_holes(depth)[0].astype(np.float64)
-        given = (distances if fov == 0 else np.log(distances)).ravel()
-        told = np.isfinite(given) & wanted.ravel()
-        data[told] = DEPTH_WEIGHT / pixels**2
+        given = distances if fov == 0 else np.log(distances)
+        told = np.isfinite(given) & wanted
+        data[told] = DEPTH_WEIGHT / pairs.pixels_per_unit**2
         given = np.where(told, given, 0.0)
-    found, weights = given, edges.reweighted(given, data > 0)
-    # Weights are found from rough solutions: only the last is what they ask for.
+    plane, weights = given, pairs.reweighted(given, data > 0)
     for tolerance in (*[ROUGH_TOLERANCE] * (ROUNDS - 1), TOLERANCE):
-        found = _solved(edges, weights, data, given, found, tolerance)
+        left = (weights * pairs.left(plane) ** 2).sum() + (data * (plane - given) ** 2).sum()
+        enough = tolerance**2 * left
+        enough += EXACT**2 * (weights * pairs.differences**2).sum()
+        flows = pairs.flows(weights) + data * given
+        plane = poisson_heights(weights[0], weights[1], data, flows, plane, enough, threads)
         if tolerance > TOLERANCE:
-            weights = edges.reweighted(found)
-    plane = found.reshape(shape)
+            weights = pairs.reweighted(plane)
     if fov == 0:
         plane = plane - (0.0 if data.any() else plane[wanted].min() - 1.0)
     else:
@@ -139,13 +131,14 @@ def depth_from_normals(
     return np.where(wanted, plane, np.nan).astype(np.float32)
 
 
-@dataclass(frozen=True, eq=False)
-class _Edges:
-    """Pairs of neighbours: (E,) each."""
+PAIRS: tuple[tuple[Any, Any], ...] = (np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])
+"""Where the first of two neighbours is, and the second: to its right, below it."""
 
-    first: NDArray[np.intp]
-    second: NDArray[np.intp]
-    """Places of pixels, row by row."""
+
+@dataclass(frozen=True, eq=False)
+class _Pairs:
+    """Pairs of neighbours, (2, H, W) by the first: to the right and below; 0 where there are none."""
+
     differences: Array
     """g: what normals say of the second's unknown minus the first's."""
     weights: Array
@@ -154,7 +147,6 @@ class _Edges:
     """Whether both have normals and lie in one segment."""
     pixels_per_unit: float
     """p."""
-    shape: tuple[int, int]
 
     @classmethod
     def of(
@@ -163,49 +155,60 @@ class _Edges:
         known: NDArray[np.bool_],
         fov: float,
         segments: NDArray[np.integer[Any]] | None,
-    ) -> _Edges:
-        """Of all neighbours in a picture, horizontal ones first."""
+    ) -> _Pairs:
+        """Of all neighbours in a picture."""
         shape = height, width = known.shape
         half_width = 1.0 if fov == 0 else math.tan(math.radians(fov) / 2)
         rays = geometry.positions(np.ones(shape), fov)
         cosine = np.einsum("hwi,hwi->hw", normals, geometry.view_directions(height, width, fov))
         cosine = np.clip(cosine, COSINE_MIN, 1.0)
-        index = np.arange(known.size).reshape(shape)
-        parts: list[list[NDArray[Any]]] = []
-        for a, b in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        differences, weights = np.zeros((2, 2, *shape))
+        certain = np.zeros((2, *shape), bool)
+        for k, (a, b) in enumerate(PAIRS):
             both = known[a] & known[b]
             step = rays[b] - rays[a]
             middle = (rays[a] + rays[b]) / 2
-            change = np.zeros(both.shape)
-            for n, end, sign in ((normals[a], rays[a], 1), (normals[b], rays[b], -1)):
-                change += _half(n, end, middle, step, fov, sign)
+            change = _half(normals[a], rays[a], middle, step, fov, 1)
+            change += _half(normals[b], rays[b], middle, step, fov, -1)
+            differences[k][a] = np.where(both, change, 0.0)
             # cos⁴ θ of the more slanted of the two.
-            weight = np.minimum(cosine[a], cosine[b]) ** 4
-            weight[~both] = BRIDGE_WEIGHT
-            inside = both.copy()
+            slanted = np.minimum(cosine[a], cosine[b]) ** 4
+            weights[k][a] = np.where(both, slanted, BRIDGE_WEIGHT)
+            certain[k][a] = both
             if segments is not None:
                 border = segments[a] != segments[b]
-                weight[border & both] *= BORDER_WEIGHT
-                inside &= ~border
-            parts.append([index[a], index[b], np.where(both, change, 0.0), weight, inside])
-        first, second, differences, weights, certain = (
-            np.concatenate([part[k].ravel() for part in parts]) for k in range(5)
-        )
-        return cls(first, second, differences, weights, certain, width / (2 * half_width), shape)
+                weights[k][a][border & both] *= BORDER_WEIGHT
+                certain[k][a][border] = False
+        return cls(differences, weights, certain, width / (2 * half_width))
+
+    def left(self, unknown: Array) -> Array:
+        """What the unknowns (H, W) differ by, less what normals say."""
+        left = -self.differences
+        for residual, (a, b) in zip(left, PAIRS, strict=True):
+            residual[a] += unknown[b] - unknown[a]
+        return left
 
     def reweighted(self, unknown: Array, told: NDArray[np.bool_] | None = None) -> Array:
         """Weights by residuals; those between pixels that are not `told` stay as they are."""
         # Radians for surfaces that face the camera, in standard deviations that are equal for all,
         # as weights of slanted surfaces are small.
-        change = unknown[self.second] - unknown[self.first] - self.differences
-        residual = np.sqrt(self.weights) * (self.pixels_per_unit * change)
-        told = np.ones(unknown.shape, bool) if told is None else told
-        looked_at = told[self.first] & told[self.second]
+        residual = np.sqrt(self.weights) * (self.pixels_per_unit * self.left(unknown))
+        looked_at = np.ones(residual.shape, bool)
+        if told is not None:
+            for of_pair, (a, b) in zip(looked_at, PAIRS, strict=True):
+                of_pair[a] = told[a] & told[b]
         some = np.abs(residual[self.certain & looked_at])
         middle = float(np.median(some)) if some.size else 0.0
         scale = max(NORMAL_ERROR_MIN, RESIDUAL_SCALE * middle)
-        factor = np.where(looked_at, 1.0 / (1.0 + (residual / scale) ** 2), 1.0)
-        return self.weights * factor
+        return np.where(looked_at, self.weights / (1.0 + (residual / scale) ** 2), self.weights)
+
+    def flows(self, weights: Array) -> Array:
+        """(H, W): weighted differences that lead to a pixel, less those that lead away."""
+        flows = np.zeros(self.weights.shape[1:])
+        for flow, (a, b) in zip(weights * self.differences, PAIRS, strict=True):
+            flows[b] += flow[a]
+            flows[a] -= flow[a]
+        return flows
 
 
 def _half(normals: Array, end: Array, middle: Array, step: Array, fov: float, sign: int) -> Array:
@@ -217,89 +220,3 @@ def _half(normals: Array, end: Array, middle: Array, step: Array, fov: float, si
         np.maximum(-np.einsum("...i,...i->...", normals, ray), COSINE_MIN) for ray in (end, middle)
     )
     return np.asarray(sign * np.log(at_end / at_middle))
-
-
-def _solved(
-    edges: _Edges, weights: Array, data: Array, given: Array, start: Array, tolerance: float
-) -> Array:
-    """The unknowns (P,) that minimise the weighted squares."""
-    from scipy.sparse import coo_array, diags_array
-    from scipy.sparse.linalg import LinearOperator, cg
-
-    count = data.size
-    if count == 1:
-        return given  # of no neighbours
-    total = np.bincount(edges.first, weights, count) + np.bincount(edges.second, weights, count)
-    held = data
-    if not data.any():  # a constant is free: one unknown in the middle is held at 0
-        held = np.zeros(count)
-        held[edges.first[len(edges.first) // 4]] = 1.0
-    rows = np.concatenate([edges.first, edges.second])
-    columns = np.concatenate([edges.second, edges.first])
-    couplings = coo_array((-np.concatenate([weights] * 2), (rows, columns)), shape=(count, count))
-    matrix = (couplings + diags_array(total + held)).tocsr()
-    flow = weights * edges.differences
-    flows = np.bincount(edges.second, flow, count) - np.bincount(edges.first, flow, count)
-    right = data * given + flows
-    # In units in which the diagonal is 1: bridges weigh as much as all else.
-    size = 1.0 / np.sqrt(total + held)
-    scaled = (diags_array(size) @ matrix @ diags_array(size)).tocsr()
-    places = np.divmod(np.arange(count), edges.shape[1])
-    cycle = _multigrid(scaled, np.stack(places, axis=-1), size[:, None] ** -1)
-    operator = LinearOperator(scaled.shape, matvec=cycle, dtype=np.float64)
-    found, _ = cg(
-        scaled, size * right, start / size, rtol=tolerance, maxiter=ITERATIONS_MAX, M=operator
-    )
-    return np.asarray(found * size)
-
-
-def _multigrid(
-    matrix: csr_array[np.float64], places: NDArray[np.intp], smooth: Array
-) -> Callable[[Array], Array]:
-    """A V-cycle of smoothed aggregation, as a function of the right side.
-
-    `smooth` (P, 1) is the vector that is constant in the picture; the coarse unknowns of a block of
-    3 × 3 that hang together hold it.
-    """
-    from scipy.sparse import csr_array, diags_array
-    from scipy.sparse.csgraph import connected_components
-    from scipy.sparse.linalg import splu
-
-    count = matrix.shape[0]
-    blocks = places // 3
-    if count > DIRECT_MAX:
-        diagonal = matrix.diagonal()
-        table = matrix.tocoo()
-        row, column = table.coords
-        coupling = np.abs(table.data) / np.sqrt(diagonal[row] * diagonal[column])
-        inside = (coupling > STRONG) & (blocks[row] == blocks[column]).all(axis=-1)
-        graph = csr_array((coupling[inside], (row[inside], column[inside])), shape=matrix.shape)
-        coarse, label = connected_components(graph, directed=False)
-    if count <= DIRECT_MAX or coarse > 0.7 * count:
-        factors = splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-        return lambda right: np.asarray(factors.solve(right))
-    length = np.sqrt(np.bincount(label, smooth[:, 0] ** 2, coarse))
-    values = smooth[:, 0] / length[label]
-    tentative = csr_array((values, (np.arange(count), label)), shape=(count, coarse))
-    # Smoothed without couplings weaker than two strong ones in a row, which are on the diagonal, or
-    # coarse equations fill up. The largest eigenvalue of D⁻¹A of a Laplacian is at most 2.
-    kept = coupling >= STRONG**2
-    smoother = csr_array((table.data[kept], (row[kept], column[kept])), shape=matrix.shape)
-    smoother = smoother + diags_array(np.asarray((matrix - smoother).sum(axis=1), np.float64))
-    inverse = diags_array(1.0 / smoother.diagonal())
-    prolong = (tentative - (2 / 3) * (inverse @ (smoother @ tentative))).tocsr()
-    restrict = prolong.T.tocsr()
-    new_places = blocks[np.unique(label, return_index=True)[1]]
-    below = _multigrid((restrict @ matrix @ prolong).tocsr(), new_places, length[:, None])
-    damping = (2 / 3) / diagonal
-
-    def cycle(right: Array) -> Array:
-        found = damping * right
-        found += damping * (right - matrix @ found)
-        coarse_right = np.asarray(restrict @ (right - matrix @ found))
-        found += np.asarray(prolong @ below(coarse_right))
-        found += damping * (right - matrix @ found)
-        found += damping * (right - matrix @ found)
-        return found
-
-    return cycle

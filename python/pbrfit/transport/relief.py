@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit._core import InputError
+from pbrfit._core import InputError, poisson_heights
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -31,6 +31,8 @@ NORMAL_ERROR = 0.1
 """Standard deviation of a slope that normals tell, in radians."""
 LEAST_NOISE = 1e-3
 """Relative noise of depth that is assumed at least."""
+SOLVED = 1e-3
+"""Standard deviations that a point without its noise is off by rounding of the solution."""
 
 
 @dataclass(frozen=True)
@@ -189,31 +191,23 @@ def _smoothed(found: Relief) -> Array:
     neighbours. With s the slope 1/|n·ray|, an error of the normal moves the step by s² times the
     way across.
     """
-    from scipy import sparse
-    from scipy.sparse.linalg import cg
-
-    here = found.here
-    measured = found.distance[here]
-    weight = 1 / np.square(max(found.noise, LEAST_NOISE) * measured)
-    number = np.full(here.shape, -1)
-    number[here] = np.arange(int(here.sum()))
-    ends, steps, precision = [], [], []
-    fields = pairs(number), pairs(found.distance), _gaps(found), (found.right, found.down)
-    for (p, q), (near, far), (a, b, across, slope), linked in zip(*fields, strict=True):
-        ends.append(np.stack([p[linked], q[linked]], axis=-1))
-        steps.append((far - near + (a + b) / 2)[linked])
-        precision.append(1 / np.square(NORMAL_ERROR * across * slope**2)[linked])
-    columns, w = np.concatenate(ends), np.concatenate(precision)
-    values = np.tile([-1.0, 1.0], len(columns))
-    starts = np.arange(0, len(values) + 1, 2)
-    shape = len(columns), int(here.sum())
-    difference = sparse.csr_array((values, columns.ravel(), starts), shape=shape)
-    system = sparse.diags_array(weight) + difference.T @ (w[:, None] * difference)
-    right = weight * measured + difference.T @ (w * np.concatenate(steps))
-    jacobi = sparse.diags_array(1 / system.diagonal())
-    smooth = found.distance.copy()
-    smooth[here] = cg(system, right, x0=measured, rtol=1e-6, maxiter=600, M=jacobi)[0]
-    return smooth
+    here, unit = found.here, float(np.nanmedian(found.distance))
+    measured = np.where(here, found.distance / unit, 0.0)
+    held = np.ones(here.shape)
+    held[here] = 1 / np.square(max(found.noise, LEAST_NOISE) * measured[here])
+    right, weights = held * measured, np.zeros((2, *here.shape))
+    fields = pairs(found.distance), _gaps(found), (found.right, found.down), pairs(right)
+    for weight, (near, far), (a, b, across, slope), linked, (to_near, to_far) in zip(
+        weights, *fields, strict=True
+    ):
+        precision = np.square(unit / (NORMAL_ERROR * across * slope**2)[linked])
+        flow = precision * (far - near + (a + b) / 2)[linked] / unit
+        weight[: linked.shape[0], : linked.shape[1]][linked] = precision
+        to_near[linked] -= flow
+        to_far[linked] += flow
+    enough = SOLVED**2 * float(here.sum())
+    smooth = poisson_heights(weights[0], weights[1], held, right, measured, enough, 0)
+    return np.where(here, unit * smooth, np.nan)
 
 
 def _normals(points: Array, normals: Array, mask: Mask, directions: Array) -> Array:

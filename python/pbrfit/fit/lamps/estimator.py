@@ -816,7 +816,7 @@ def normals_from_pictures(
     found = fit_lamps(scene, setup, start)
     assert found.lamps is not None
     assert found.normal_sigma is not None
-    height = height_of(found.normals, scene)
+    height = height_of(found.normals, scene, setup.threads)
     return PictureNormals(
         found.normals, found.normal_sigma, height, found.lamps, start.undetermined
     )

@@ -44,8 +44,8 @@ def first_shape(scene: Scene, threads: int = 0) -> FirstShape:
     return replace(found, note="; ".join([note, *found.undetermined]))
 
 
-def height_of(normals: Array, scene: Scene) -> NDArray[np.float32]:
+def height_of(normals: Array, scene: Scene, threads: int = 0) -> NDArray[np.float32]:
     """(H, W): height towards the viewer in pixels, about 0 in the mean; NaN outside the mask."""
-    depth = depth_from_normals(normals, 0.0, scene.valid, scene.segments)
+    depth = depth_from_normals(normals, 0.0, scene.valid, scene.segments, threads=threads)
     height = -depth.astype(np.float64) * scene.width / 2
     return np.asarray(height - np.nanmean(height), np.float32)
