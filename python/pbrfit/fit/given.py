@@ -306,8 +306,8 @@ class _Matt:
 
     def __init__(self, scene: Scene) -> None:
         self.scene, self.lamps = scene, scene.lamps if scene.lighting is None else None
-        given = np.asarray(scene.normals, np.float64)
-        self.pixels = LampPixels.of(scene, given, DEFAULT_MODEL, 1)
+        given = np.asarray(scene.normals, np.float64)[scene.valid]
+        self.pixels = LampPixels.of(scene, given, DEFAULT_MODEL, 1, scene.places)
         samples, told = self.pixels.samples, self.pixels.told
         grey, usable = grey_samples(samples, told)
         bright, where = brightness(grey, usable), np.nonzero(scene.valid)

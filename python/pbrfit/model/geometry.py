@@ -61,11 +61,18 @@ def positions(depth: NDArray[Any], fov: float) -> NDArray[np.float64]:
     is. Raises InputError if fov, in degrees, is outside [0, 180).
     """
     check_fov(fov)
+    rows, columns = np.ogrid[: depth.shape[0], : depth.shape[1]]
+    return positions_at(depth, fov, columns, rows)
+
+
+def positions_at(depth: NDArray[Any], fov: float, columns: Any, rows: Any) -> NDArray[np.float64]:
+    """Those points (..., 3) of some columns and rows (...)."""
     height, width = depth.shape
-    x = (2 * np.arange(width) + 1 - width) / width
-    y = (height - 1 - 2 * np.arange(height)) / width
-    scale = np.ones(depth.shape) if fov == 0 else math.tan(math.radians(fov) / 2) * depth
-    return np.stack([x * scale, y[:, None] * scale, -np.asarray(depth, np.float64)], axis=-1)
+    there = np.asarray(depth, np.float64)[rows, columns]
+    x = (2 * np.asarray(columns) + 1 - width) / width
+    y = (height - 1 - 2 * np.asarray(rows)) / width
+    scale = np.ones(there.shape) if fov == 0 else math.tan(math.radians(fov) / 2) * there
+    return np.stack([x * scale, y * scale, -there], axis=-1)
 
 
 def check_fov(fov: float) -> None:

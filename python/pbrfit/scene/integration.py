@@ -137,7 +137,7 @@ PAIRS: tuple[tuple[Any, Any], ...] = (np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1],
 
 @dataclass(frozen=True, eq=False)
 class _Pairs:
-    """Pairs of neighbours, (2, H, W) by the first: to the right and below; 0 where there are none."""
+    """(2, H, W) by the first of a pair, with its right and its lower neighbour; 0 where none is."""
 
     differences: Array
     """g: what normals say of the second's unknown minus the first's."""

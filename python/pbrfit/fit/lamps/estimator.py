@@ -62,7 +62,7 @@ from pbrfit.result.uncertainty import TWO_SIDED, Uncertainty
 from pbrfit.result.verdict import by_deviations
 from pbrfit.scene.arrays import SHAPE_PICTURES_MIN
 from pbrfit.scene.scene import Scene
-from pbrfit.threads import one_blas_thread
+from pbrfit.threads import AT_ONCE_MAX, in_pieces, one_blas_thread, processors
 from pbrfit.transport.scenery import Scenery
 
 log = logging.getLogger("pbrfit")
@@ -223,18 +223,24 @@ class LampFit:
         }
         return pixels, band.state, Found(lamps, roughness, self.fov)
 
-    def normals(self, matrix: Array) -> Array:
-        """(H, W, 3): that pixels' own are offset from, turned by the matrix of a joint fit."""
+    def normals(self, matrix: Array, places: NDArray[np.intp]) -> Array:
+        """(P, 3): that pixels' own are offset from, turned by the matrix of a joint fit."""
         if self.start is None:
-            return np.asarray(self.scene.normals, np.float64)
-        return turned(np.asarray(self.start.normals, np.float64), matrix)
+            return np.asarray(self.scene.normals, np.float64).reshape(-1, 3)[places]
+        return turned(np.asarray(self.start.normals).reshape(-1, 3)[places], matrix)
 
     def _pixels(
-        self, matrix: Array, places: NDArray[np.intp] | None = None, like: LampPixels | None = None
+        self,
+        matrix: Array,
+        places: NDArray[np.intp] | None = None,
+        like: LampPixels | None = None,
+        threads: int | None = None,
     ) -> LampPixels:
         """Pixels at places, or all, through the camera as it is; other arguments as above."""
-        given = self.normals(matrix), self.model, self.setup.threads, places
-        return LampPixels.of(self.scene.through(self.fov), *given, like=like)
+        places = self.scene.places if places is None else places
+        threads = self.setup.threads if threads is None else threads
+        normals, scene = self.normals(matrix, places), self.scene.through(self.fov)
+        return LampPixels.of(scene, normals, self.model, threads, places, like=like)
 
     def _starts(
         self, places: NDArray[np.intp]
@@ -549,9 +555,13 @@ class LampFit:
         uncertain = self._covariance(fit, known) if self.options.uncertainty else None
         places = np.flatnonzero(mask.ravel())
         albedo = _spread(fit.state.albedo, few.places, places, scene.width)
-        found = []
-        for band in surfaces.bands(mask):
-            pixels = self._pixels(fit.matrix, places[band], few)
+        bands = list(surfaces.bands(mask))
+        threads = self.setup.threads or processors()
+        # Each of so many bands at once has its share of the processors.
+        of_band = max(threads // min(len(bands), AT_ONCE_MAX), 1)
+
+        def fitted(band: slice) -> surfaces.Band:
+            pixels = self._pixels(fit.matrix, places[band], few, of_band)
             sigma = self._offset_sigma(pixels.places)
             prior = of_labels(fit.prior, few, pixels, sigma)
             lit = self.lit_at(pixels)
@@ -567,20 +577,19 @@ class LampFit:
                 roughness=np.clip(prior.mean[:, 5], 0.05, 1),
                 metallic=np.full(len(pixels), self.options.metallic or 0.0),
             )
-            found.append(
-                surfaces.fit_band(
-                    pixels,
-                    state,
-                    fit.noise,
-                    prior,
-                    fit.freedom,
-                    scene.width,
-                    metals=first_prior(pixels, sigma) if self.options.metallic is None else None,
-                    uncertain=uncertain,
-                    once=self.trace.out_of_time(),
-                )
+            return surfaces.fit_band(
+                pixels,
+                state,
+                fit.noise,
+                prior,
+                fit.freedom,
+                scene.width,
+                metals=first_prior(pixels, sigma) if self.options.metallic is None else None,
+                uncertain=uncertain,
+                once=self.trace.out_of_time(),
             )
-        return found
+
+        return in_pieces(self.setup.threads, fitted, bands)
 
     def _covariance(self, fit: JointLamps, known: Reference | None) -> Array:
         """(M, M): of what all pixels share."""
@@ -760,7 +769,7 @@ def settled(scene: Scene, setup: FitSetup, start: FirstShape) -> FirstShape:
         return start
     fit = LampFit(scene, replace(setup, progress=None), start, rounds=LOOK_LAST)
     joint = fit.joint(some_places(scene))
-    lamps, normals = joint.state.lamps, fit.normals(joint.matrix)
+    lamps, normals = joint.state.lamps, turned(np.asarray(start.normals), joint.matrix)
     return replace(
         start, normals=normals, directions=lamps.places, strengths=lamps.colors, relief=None
     )

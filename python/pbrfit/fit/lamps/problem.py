@@ -22,7 +22,7 @@ from pbrfit import _core
 from pbrfit.fit.noise import satisfied
 from pbrfit.fit.sampling import slices
 from pbrfit.fit.settings import MEAN_RADIANCE, PIXELS_AT_ONCE
-from pbrfit.model.geometry import positions, views_at
+from pbrfit.model.geometry import positions_at, views_at
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import Model
 from pbrfit.scene.scene import Scene
@@ -65,16 +65,14 @@ class LampPixels:
         normals: Array,
         model: Model,
         threads: int,
-        places: NDArray[np.intp] | None = None,
+        places: NDArray[np.intp],
         *,
         like: LampPixels | None = None,
     ) -> LampPixels:
-        """Of the valid pixels of a scene, or some of them; `normals` (H, W, 3).
+        """Of pixels of a scene at places, with the normals (P, 3) that they have.
 
         Scale and largest weight are those of others of the same scene, where some are there.
         """
-        valid = scene.places
-        places = valid if places is None else places
         count = len(scene.images)
         samples = np.empty((len(places), count, 3))
         weights = np.ones((len(places), count, 3))
@@ -92,12 +90,12 @@ class LampPixels:
             scale = scale if scale > 0 else 1.0
             largest = 1.0 if scene.weights is None else float(scene.weights.max())
         rows, columns = np.divmod(places, scene.width)
-        flat = np.zeros(scene.valid.size, np.intp)
-        if scene.labels is not None:
-            flat[valid] = scene.labels[0]
+        labels = np.zeros(len(places), np.intp)
+        if scene.label_map is not None:
+            labels = scene.label_map.ravel()[places].astype(np.intp)
         points = None
         if scene.depth is not None:
-            found = positions(scene.depth, scene.fov).reshape(-1, 3)[places].astype(np.float64)
+            found = positions_at(scene.depth, scene.fov, columns, rows)
             points = found if np.isfinite(found).all() else None
         return cls(
             samples / scale,
@@ -105,8 +103,8 @@ class LampPixels:
             limits,
             views_at((scene.height, scene.width), scene.fov, columns, rows),
             points,
-            np.asarray(normals, np.float64).reshape(-1, 3)[places],
-            flat[places],
+            normals,
+            labels,
             places,
             scale,
             model,
