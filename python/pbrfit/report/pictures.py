@@ -109,8 +109,16 @@ def _errors(
 ) -> tuple[float, float]:
     """Root mean square of a picture and of its residual."""
     if weights is not None:
-        black = np.where(np.isnan(rendered), np.nan, 0.0)
-        return metrics.rmse(black, image, weights), metrics.rmse(rendered, image, weights)
+        sums = np.zeros(3)
+        for first in range(0, len(image), differences.ROWS):
+            rows = slice(first, first + differences.ROWS)
+            counts = np.where(np.isfinite(rendered[rows]), weights[rows], np.float64(0))
+            shown = np.where(counts > 0, image[rows], np.float64(0))
+            error = np.where(counts > 0, rendered[rows], 0.0) - shown
+            squares = (np.einsum("hwc,hwc,hwc->", counts, of, of) for of in (shown, error))
+            sums += counts.sum(), *squares
+        rms, rmse = np.sqrt(sums[1:] / sums[0]).tolist()
+        return rms, rmse
     # Without weights the map of the residual has all that it takes.
     inside = np.isfinite(residual.values)
     rms = differences.rms(image[inside])

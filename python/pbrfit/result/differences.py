@@ -66,6 +66,9 @@ def blue_to_yellow(values: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
     return np.asarray(encode_srgb(linear))
 
 
+ROWS = 64
+"""Rows of a picture that are looked at together: caches hold them."""
+
 STEPS = 251
 """Colours on the scale."""
 
@@ -127,18 +130,19 @@ def residual(
     part in the fit and have none here; pixels with no others are white.
     """
     used: NDArray[np.bool_] = over_channels(np.logical_and, np.isfinite(rendered))
-    if weights is None and used.all():
-        error = np.asarray(rendered) - np.asarray(picture)
-        mean = np.einsum("hwc,hwc->hw", error, error) / error.shape[-1]
-        return Difference(np.sqrt(mean) / rms(picture))
-    counted = np.broadcast_to(used[..., None], np.shape(picture))
-    if weights is not None:
-        counted = counted & (weights > 0)
-    channels = np.count_nonzero(counted, axis=-1)
-    squares = np.zeros(counted.shape)
-    squares[counted] = np.square(np.asarray(rendered)[counted] - np.asarray(picture)[counted])
-    difference = np.sqrt(squares.sum(axis=-1) / np.maximum(channels, 1))
-    difference /= rms(np.asarray(picture)[counted])
+    squares, channels, brightness = np.zeros(used.shape), np.zeros(used.shape, np.intp), 0.0
+    for first in range(0, len(used), ROWS):
+        rows = slice(first, first + ROWS)
+        counted = np.broadcast_to(used[rows, :, None], np.shape(picture[rows]))
+        if weights is not None:
+            counted = counted & (weights[rows] > 0)
+        shown = np.where(counted, picture[rows], np.float64(0))
+        error = np.where(counted, rendered[rows], 0.0) - shown
+        channels[rows] = np.count_nonzero(counted, axis=-1)
+        squares[rows] = np.einsum("hwc,hwc->hw", error, error)
+        brightness += float(np.einsum("hwc,hwc->", shown, shown))
+    difference = np.sqrt(squares / np.maximum(channels, 1))
+    difference /= math.sqrt(brightness / max(int(channels.sum()), 1)) or 1.0
     difference[~used] = np.nan
     return Difference(difference, white=None if weights is None else used & (channels == 0))
 
