@@ -86,7 +86,7 @@ impl PixelProducts {
         lights: &[[f64; COEFFICIENTS]],
         pixels: &[usize],
     ) {
-        let isa = problem.instructions();
+        let isa = problem.options.instructions;
         self.directions = problem.picked_directions(maps, pixels);
         problem.fill_basis::<M, f64, COEFFICIENTS>(
             &self.directions,
@@ -94,7 +94,7 @@ impl PixelProducts {
             &mut self.basis,
         );
         problem.pick_samples(pixels, &mut self.given);
-        problem.pick_bounced::<M>(pixels, &mut self.bounced);
+        problem.pick_bounced::<M, f64>(pixels.iter().copied(), &mut self.bounced);
         let pictures = problem.pictures();
         for (c, products) in self.by_channel.iter_mut().enumerate() {
             isa.run(SumPictures {
