@@ -2,7 +2,7 @@
 //!
 //! A pixel depends on a few projections of a light: Σ_k A_l Y_k(n) L_k and, for each row of its
 //! lobe, Σ_k R_jk L_k. Radiance and its derivatives by the material are linear in them, with
-//! coefficients that no picture changes ([`FillResponses`]). Those by the two tangent offsets of a
+//! coefficients that no picture changes ([`Responses`]). Those by the two tangent offsets of a
 //! free normal are Σ_k L_k ∂w_ck/∂a, with ∂w_ck/∂a from
 //! [`weight_jacobian`](super::weight_jacobian).
 //!

@@ -34,12 +34,8 @@ pub(crate) fn fill_by_pixel<T: Clone + Default + Send, R, const S: usize>(
             let mut room = room();
             for (i, pixels) in pixels.chunks(BLOCK).enumerate() {
                 let first = (piece * blocks + i) * BLOCK;
-                fill(
-                    &mut room,
-                    first,
-                    pixels,
-                    split(&mut rest, widths, pixels.len()),
-                );
+                let parts = split(&mut rest, widths, pixels.len());
+                fill(&mut room, first, pixels, parts);
             }
         },
     );

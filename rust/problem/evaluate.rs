@@ -43,20 +43,17 @@ impl Problem {
         let pieces = self
             .chunks()
             .zip(chunks_of_planes(by_maps, self.pixels(), chunk * BLOCK));
-        let partials = pool::map(
-            self.options.threads,
-            pieces.collect(),
-            |(blocks, mut out)| {
-                let piece = Piece {
-                    problem: self,
-                    maps,
-                    lights: &lights,
-                    factor,
-                    blocks,
-                };
-                evaluate(&piece, &mut out)
-            },
-        );
+        let (threads, pieces) = (self.options.threads, pieces.collect());
+        let partials = pool::map(threads, pieces, |(blocks, mut out)| {
+            let piece = Piece {
+                problem: self,
+                maps,
+                lights: &lights,
+                factor,
+                blocks,
+            };
+            evaluate(&piece, &mut out)
+        });
 
         let mut loss = 0.0;
         let mut by_lights = vec![0.0; lights.len()];

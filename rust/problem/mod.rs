@@ -207,13 +207,11 @@ impl Problem {
 
     /// Number of unknowns.
     pub fn size(&self) -> usize {
-        let lights = self.pictures() * self.coefficients() * self.channels();
-        self.maps()
-            + if self.options.lighting.is_none() {
-                lights
-            } else {
-                0
-            }
+        let of_lights = match self.options.lighting {
+            None => self.pictures() * self.coefficients() * self.channels(),
+            Some(_) => 0,
+        };
+        self.maps() + of_lights
     }
 
     /// Unknowns of a pixel: those of its material, and its tangent offset where normals are free.

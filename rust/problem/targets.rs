@@ -61,14 +61,14 @@ impl Targets {
         check::moderate_from("images", i * size, picture, LARGEST_F32)?;
         self.taken += 1;
         let high = |value: T| value.into() as f32;
-        let layout = (i, self.pictures, self.channels, self.threads);
-        put(picture, layout, high, &mut self.high_words);
+        let (shape, threads) = ([self.pictures, self.channels], self.threads);
+        put(picture, i, shape, threads, high, &mut self.high_words);
         if size_of::<T>() > size_of::<f32>() {
             if self.low_words.is_empty() {
                 self.low_words = zeros("images", self.high_words.len())?;
             }
             let low = |value: T| (value.into() - f64::from(high(value))) as f32;
-            put(picture, layout, low, &mut self.low_words);
+            put(picture, i, shape, threads, low, &mut self.low_words);
         }
         Ok(())
     }
@@ -117,7 +117,9 @@ impl Targets {
 /// picture).
 fn put<T: Copy + Sync>(
     picture: &[T],
-    (i, pictures, channels, threads): (usize, usize, usize, usize),
+    i: usize,
+    [pictures, channels]: [usize; 2],
+    threads: usize,
     part: impl Fn(T) -> f32 + Send + Sync,
     planes: &mut [Plane],
 ) {

@@ -3,7 +3,8 @@
 //! A [`Kernel`] is written once, over any [`Isa`]. [`Instructions::run`] calls the copy that was
 //! compiled for the processor it runs on: AVX-512, AVX2 with FMA, NEON, or what every processor of
 //! the family has. Everything a kernel calls in its loops must be `#[inline(always)]`, or it is
-//! compiled for the oldest processor after all.
+//! compiled for the oldest processor after all. Where the compiler makes the vectors, a kernel is a
+//! function of arrays, called by `vectorized!`.
 
 use pulp::{Arch, Scalar128b, Simd, WithSimd};
 
