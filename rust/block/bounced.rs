@@ -1,7 +1,6 @@
-//! What surroundings bring to a block, beside its light: known projections B of each picture, which
-//! add Σ_s f_s B_s to radiance.
+//! What surroundings bring to a block, beside its light: known projections B_s of each picture, in
+//! planes (picture, projection), which add Σ_s f_s B_s to radiance.
 
-use super::basis::MAX_PROJECTIONS;
 use crate::reflectance::planes::{BLOCK, ChannelFactors, ChannelSums, Plane};
 use crate::reflectance::reflection::Reflection;
 
@@ -9,19 +8,23 @@ use crate::reflectance::reflection::Reflection;
 #[inline(always)]
 pub fn subtract_bounced<M: Reflection>(
     factors: &ChannelFactors,
-    bounced: &[[Plane; MAX_PROJECTIONS]],
+    bounced: &[Plane],
     targets: &[Plane],
     less: &mut [Plane],
 ) {
-    for ((less, target), bounced) in less.iter_mut().zip(targets).zip(bounced) {
+    for ((less, target), bounced) in less
+        .iter_mut()
+        .zip(targets)
+        .zip(bounced.chunks(1 + M::ROWS))
+    {
         *less = *target;
-        for s in 0..=M::ROWS {
+        for (s, bounced) in bounced.iter().enumerate() {
             let factor = match s {
                 0 => &factors.diffuse,
                 s => &factors.rows[s - 1],
             };
             for x in 0..BLOCK {
-                less.0[x] -= factor.0[x] * bounced[s].0[x];
+                less.0[x] -= factor.0[x] * bounced.0[x];
             }
         }
     }
@@ -29,19 +32,15 @@ pub fn subtract_bounced<M: Reflection>(
 
 /// Adds Σ_i e_i B_is to the derivatives by the factors.
 #[inline(always)]
-pub fn add_bounced<M: Reflection>(
-    residuals: &[Plane],
-    bounced: &[[Plane; MAX_PROJECTIONS]],
-    sums: &mut ChannelSums,
-) {
-    for (residual, bounced) in residuals.iter().zip(bounced) {
-        for s in 0..=M::ROWS {
+pub fn add_bounced<M: Reflection>(residuals: &[Plane], bounced: &[Plane], sums: &mut ChannelSums) {
+    for (residual, bounced) in residuals.iter().zip(bounced.chunks(1 + M::ROWS)) {
+        for (s, bounced) in bounced.iter().enumerate() {
             let sum = match s {
                 0 => &mut sums.diffuse,
                 s => &mut sums.rows[s - 1],
             };
             for x in 0..BLOCK {
-                sum.0[x] += residual.0[x] * bounced[s].0[x];
+                sum.0[x] += residual.0[x] * bounced.0[x];
             }
         }
     }

@@ -94,7 +94,7 @@ impl PixelProducts {
             &mut self.basis,
         );
         problem.pick_samples(pixels, &mut self.given);
-        problem.pick_bounced::<M, f64>(pixels.iter().copied(), &mut self.bounced);
+        problem.pick_bounced::<M>(pixels, &mut self.bounced);
         let pictures = problem.pictures();
         for (c, products) in self.by_channel.iter_mut().enumerate() {
             isa.run(SumPictures {

@@ -156,8 +156,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
         }
         self.directions = self.problem.picked_directions(maps, pixels);
         self.fill_basis(pixels);
-        self.problem
-            .pick_bounced::<M, f64>(pixels.iter().copied(), &mut self.bounced);
+        self.problem.pick_bounced::<M>(pixels, &mut self.bounced);
     }
 
     fn fill_basis(&mut self, pixels: &[usize]) {

@@ -224,9 +224,6 @@ fn evaluate<
         }
         let directions = &directions;
         problem.fill_basis::<M, f32, K>(directions, taken.clone(), &mut basis);
-        if M::SURROUNDED {
-            problem.pick_bounced::<M, f32>(taken, &mut bounced);
-        }
         isa.run(FillFactors::<M, _, _> {
             directions,
             materials: &materials,
@@ -244,12 +241,15 @@ fn evaluate<
         for c in 0..C {
             let targets = problem.targets(block, c);
             let sample_weights = problem.weights(block, c);
+            if M::SURROUNDED {
+                problem.fill_bounced::<M>(taken.clone(), c, &mut bounced);
+            }
             for group in groups(pictures) {
                 let lights = &lights[c * pictures..][group.clone()];
                 let residuals = &mut residuals[..group.len()];
                 let mut targets = &targets[group.clone()];
-                let bounced = bounced.get(c * pictures..).unwrap_or_default();
-                let bounced = bounced.get(group.clone()).unwrap_or_default();
+                let brought = group.start * (1 + M::ROWS)..group.end * (1 + M::ROWS);
+                let bounced = bounced.get(brought).unwrap_or_default();
                 if M::SURROUNDED && !bounced.is_empty() {
                     let (factors, less) = (&factors[c], &mut less[..group.len()]);
                     vectorized!(isa, subtract_bounced::<M>(factors, bounced, targets, less));
