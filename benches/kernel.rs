@@ -480,9 +480,12 @@ impl Example {
 
     fn problem(&self, options: Options) -> Problem {
         let (pixels, threads) = (self.normals.len(), options.threads);
-        let targets = Targets::of(&self.images, pixels, self.pictures, self.channels, threads);
+        let mut images = Targets::new(pixels, self.pictures, self.channels, threads).unwrap();
+        for picture in self.images.chunks(pixels * self.channels) {
+            images.push(picture).unwrap();
+        }
         let given = Pictures {
-            images: targets.unwrap(),
+            images,
             weights: self.weights.as_deref(),
             normals: &self.normals,
             views: &self.views,

@@ -350,8 +350,12 @@ fn fits(c: &mut Criterion) {
             ("bounce", 60, Some(samples.as_slice())),
         ] {
             let transfer = (rays > 0).then(|| pixels.tables(&surroundings, model, rays, given, 0));
+            let mut targets = Targets::new(PIXELS, PICTURES, 3, 1).unwrap();
+            for picture in images.chunks(PIXELS * 3) {
+                targets.push(picture).unwrap();
+            }
             let given = Pictures {
-                images: Targets::of(&images, PIXELS, PICTURES, 3, 1).unwrap(),
+                images: targets,
                 weights: None,
                 normals: &pixels.normals,
                 views: &pixels.views,

@@ -229,25 +229,14 @@ impl Parts {
 #[repr(C, align(64))]
 pub struct WideParts([f64; PARTS]);
 
-/// Moves sums in float32 to sums in float64.
-pub struct Flush<'a> {
-    /// Become zero.
-    pub from: &'a mut [Parts],
-    /// As many; added to.
-    pub to: &'a mut [WideParts],
-}
-
-impl Kernel for Flush<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
-        for (from, to) in self.from.iter_mut().zip(self.to) {
-            for x in 0..PARTS {
-                to.0[x] += f64::from(from.0[x]);
-            }
-            from.0 = [0.0; PARTS];
+/// Moves sums in float32 to as many in float64.
+#[inline(always)]
+pub fn flush(from: &mut [Parts], to: &mut [WideParts]) {
+    for (from, to) in from.iter_mut().zip(to) {
+        for x in 0..PARTS {
+            to.0[x] += f64::from(from.0[x]);
         }
+        from.0 = [0.0; PARTS];
     }
 }
 

@@ -5,7 +5,7 @@ use crate::reflectance::planes::{
 };
 use crate::reflectance::reflection::{OPEN_DIFFUSE, Reflection, first_entry, rows_of_band};
 use crate::reflectance::sh::{self, BAND_OF, COEFFICIENTS, COSINE_TRANSFER, Real};
-use crate::runtime::simd::{Isa, Kernel, Vectors};
+use crate::runtime::simd::Vectors;
 
 /// The basis functions at those directions, A_l Y_k(n) and R_jk; of the latter, as many as the model
 /// has.
@@ -29,32 +29,19 @@ impl<T: Copy + Default> Default for Basis<T> {
 }
 
 /// Fills in the basis functions, those of the lobe for K coefficients.
-pub struct FillBasis<'a, M: Reflection, T: Real, const K: usize> {
-    /// Where the pixels look.
-    pub directions: &'a Directions<T>,
-    /// To be written.
-    pub basis: &'a mut Basis<T>,
-    /// Whose lobe it is.
-    pub model: M,
-}
-
-impl<M: Reflection, T: Real, const K: usize> Kernel for FillBasis<'_, M, T, K> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
-        let Self {
-            directions, basis, ..
-        } = self;
-        for x in 0..BLOCK {
-            let y = sh::basis(directions.normal(x));
-            for k in 0..OPEN_DIFFUSE {
-                basis.diffuse[k].0[x] = T::from_f64(COSINE_TRANSFER[BAND_OF[k]]) * y[k];
-            }
+#[inline(always)]
+pub fn fill_basis<M: Reflection, T: Real, const K: usize>(
+    directions: &Directions<T>,
+    basis: &mut Basis<T>,
+) {
+    for x in 0..BLOCK {
+        let y = sh::basis(directions.normal(x));
+        for k in 0..OPEN_DIFFUSE {
+            basis.diffuse[k].0[x] = T::from_f64(COSINE_TRANSFER[BAND_OF[k]]) * y[k];
         }
-        let lobe = basis.lobe.first_chunk_mut().expect("room for the lobe");
-        fill_lobe::<M, T, K>(&directions.normal, &directions.mirror, lobe);
     }
+    let lobe = basis.lobe.first_chunk_mut().expect("room for the lobe");
+    fill_lobe::<M, T, K>(&directions.normal, &directions.mirror, lobe);
 }
 
 /// A function of its own, from whose arguments the compiler knows that they do not overlap, and a

@@ -7,6 +7,7 @@ use crate::block::basis::Basis;
 use crate::reflectance::ggx::MIN_COSINE;
 use crate::reflectance::planes::{
     BLOCK, BlockFunctions, ChannelFactors, ChannelSums, Directions, Doubles, Materials, Plane,
+    vector,
 };
 use crate::reflectance::reflection::{
     Factors, OPEN_DIFFUSE, Reflection, factors_of, first_entry, rows_of_band, sums_of,
@@ -15,7 +16,7 @@ use crate::reflectance::sh::{self, BAND_OF, COEFFICIENTS, COSINE_TRANSFER, Real}
 use crate::reflectance::tangent_offset;
 use crate::runtime::Result;
 use crate::runtime::memory::zeros;
-use crate::runtime::simd::{Isa, Kernel, Vectors};
+use crate::runtime::simd::Vectors;
 
 /// The tangent offsets (a, b) of a block of pixels.
 pub type TangentOffsets = [Doubles; 2];
@@ -47,7 +48,8 @@ impl GivenDirections {
     /// Normal and view direction of a pixel.
     #[inline(always)]
     pub fn get(&self, pixel: usize) -> [DVec3; 2] {
-        [vector(&self.normal, pixel), vector(&self.view, pixel)]
+        let (normal, view) = (vector(&self.normal, pixel), vector(&self.view, pixel));
+        [DVec3::from_array(normal), DVec3::from_array(view)]
     }
 
     /// Blocks for some pixels. Normals that are free are brought to length 1 to the last digit, as
@@ -61,30 +63,14 @@ impl GivenDirections {
         }
         Ok(blocks)
     }
-}
 
-#[inline(always)]
-fn vector(planes: &[Doubles; 3], pixel: usize) -> DVec3 {
-    DVec3::new(planes[0].0[pixel], planes[1].0[pixel], planes[2].0[pixel])
-}
-
-/// Directions of the pixels of a block at their given normals.
-pub struct GivenNormals<'a, T: Real> {
-    /// What is given.
-    pub given: &'a GivenDirections,
-    /// To be written.
-    pub directions: &'a mut Directions<T>,
-}
-
-impl<T: Real> Kernel for GivenNormals<'_, T> {
-    type Output = ();
-
+    /// Where the pixels look at their given normals.
     #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
+    pub fn place<T: Real>(&self, directions: &mut Directions<T>) {
         let mut cosines = Doubles::default();
         let mut mirrors = <[Doubles; 3]>::default();
         for x in 0..BLOCK {
-            let [normal, view] = self.given.get(x);
+            let [normal, view] = self.get(x);
             let cosine = normal.dot(view);
             let mirror = 2.0 * cosine * normal - view;
             cosines.0[x] = cosine.max(MIN_COSINE);
@@ -92,54 +78,27 @@ impl<T: Real> Kernel for GivenNormals<'_, T> {
                 mirrors[axis].0[x] = mirror[axis];
             }
         }
-        self.directions.fill(&cosines, &self.given.normal, &mirrors);
+        directions.fill(&cosines, &self.normal, &mirrors);
     }
-}
 
-/// Derivatives of [`Directions`] by the tangent offsets a and b.
-#[derive(Clone, Debug, Default)]
-pub struct NormalJacobian {
-    /// Of n.
-    pub normal: [[Doubles; 3]; 2],
-    /// Of the mirror direction.
-    pub mirror: [[Doubles; 3]; 2],
-    /// Of the clamped n·v: 0 where n·v ≤ [`MIN_COSINE`].
-    pub cosine: [Doubles; 2],
-}
-
-/// Directions of the pixels of a block at their tangent offsets, and how they change with these.
-///
-/// ```text
-/// R = 2(n·v)n − v          ∂R/∂a = 2(v·∂n/∂a) n + 2(n·v) ∂n/∂a          ∂(n·v)/∂a = v·∂n/∂a
-/// ```
-pub struct OffsetNormals<'a, T: Real> {
-    /// Where the offsets start.
-    pub given: &'a GivenDirections,
-    /// By how much.
-    pub offsets: &'a TangentOffsets,
-    /// To be written.
-    pub directions: &'a mut Directions<T>,
-    /// To be written.
-    pub jacobian: &'a mut NormalJacobian,
-}
-
-impl<T: Real> Kernel for OffsetNormals<'_, T> {
-    type Output = ();
-
+    /// Where the pixels look at their tangent offsets, and how that changes with these.
+    ///
+    /// ```text
+    /// R = 2(n·v)n − v          ∂R/∂a = 2(v·∂n/∂a) n + 2(n·v) ∂n/∂a          ∂(n·v)/∂a = v·∂n/∂a
+    /// ```
     #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
-        let Self {
-            given,
-            offsets,
-            directions,
-            jacobian,
-        } = self;
+    pub fn turn<T: Real>(
+        &self,
+        offsets: &TangentOffsets,
+        directions: &mut Directions<T>,
+        jacobian: &mut NormalJacobian,
+    ) {
         // Planes of their own, which overlap nothing: else the compiler makes no vector code.
         let mut cosines = Doubles::default();
         let [mut normals, mut mirrors] = <[[Doubles; 3]; 2]>::default();
         let mut slopes = NormalJacobian::default();
         for x in 0..BLOCK {
-            let [normal, view] = given.get(x);
+            let [normal, view] = self.get(x);
             let turned = tangent_offset::offset_normal(normal, [offsets[0].0[x], offsets[1].0[x]]);
             let normal = turned.normal;
             let cosine = normal.dot(view);
@@ -167,36 +126,30 @@ impl<T: Real> Kernel for OffsetNormals<'_, T> {
     }
 }
 
-/// Fills in the derivatives of the basis functions by one of the tangent offsets: A_l
-/// ∇Y_k(n)·∂n/∂a, and those of R_jk.
-pub struct FillBasisSlopes<'a, M: Reflection> {
-    /// Where the pixels look.
-    pub directions: &'a Directions<f64>,
-    /// How that changes.
-    pub jacobian: &'a NormalJacobian,
-    /// 0 or 1.
-    pub offset: usize,
-    /// To be written.
-    pub slopes: &'a mut Basis<f64>,
-    /// Whose basis it is.
-    pub model: M,
+/// Derivatives of [`Directions`] by the tangent offsets a and b.
+#[derive(Clone, Debug, Default)]
+pub struct NormalJacobian {
+    /// Of n.
+    pub normal: [[Doubles; 3]; 2],
+    /// Of the mirror direction.
+    pub mirror: [[Doubles; 3]; 2],
+    /// Of the clamped n·v: 0 where n·v ≤ [`MIN_COSINE`].
+    pub cosine: [Doubles; 2],
 }
 
-impl<M: Reflection> Kernel for FillBasisSlopes<'_, M> {
-    type Output = ();
-
+impl NormalJacobian {
+    /// Fills in the derivatives of the basis functions by one of the tangent offsets, 0 or 1: A_l
+    /// ∇Y_k(n)·∂n/∂a, and those of R_jk.
     #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
-        let Self {
-            directions,
-            jacobian,
-            offset,
-            slopes,
-            ..
-        } = self;
-        let (by_normal, by_mirror) = (&jacobian.normal[offset], &jacobian.mirror[offset]);
+    pub fn fill_basis_slopes<M: Reflection>(
+        &self,
+        offset: usize,
+        directions: &Directions<f64>,
+        slopes: &mut Basis<f64>,
+    ) {
+        let (by_normal, by_mirror) = (&self.normal[offset], &self.mirror[offset]);
         for x in 0..BLOCK {
-            let by = vector(by_normal, x).to_array();
+            let by = vector(by_normal, x);
             let mut along = [0.0; COEFFICIENTS];
             sh::each_slope(directions.normal(x), |k, axis, slope| {
                 along[k] += slope * by[axis];
@@ -207,12 +160,94 @@ impl<M: Reflection> Kernel for FillBasisSlopes<'_, M> {
         }
         let entries = const { first_entry::<M>(COEFFICIENTS) };
         for x in 0..BLOCK {
-            let by = [by_normal, by_mirror].map(|by| vector(by, x).to_array());
+            let by = [by_normal, by_mirror].map(|by| vector(by, x));
             let along = M::lobe_along([directions.normal(x), directions.mirror(x)], by);
             for i in 0..entries {
                 slopes.lobe[i].0[x] = along[i];
             }
         }
+    }
+
+    /// The last step: from the sums over pictures to the derivatives by the tangent offsets, times
+    /// `scale`.
+    ///
+    /// With g_D and g_B what [`ByBasis`] found, and x = n·v,
+    ///
+    /// ```text
+    /// g_n = Σ_k g_Dk A_l ∇Y_k(n) + Σ_jk g_Bjk ∂R_jk/∂n          g_R = Σ_jk g_Bjk ∂R_jk/∂mirror
+    /// g_x = Σ_c dkd_c/dx g_kd_c + Σ_j ds_cj/dx g_s_cj
+    /// g_a = g_n·∂n/∂a + g_R·∂mirror/∂a + g_x ∂x/∂a
+    /// ```
+    #[inline(always)]
+    pub fn pull_back<M: Reflection, const C: usize, const K: usize>(
+        &self,
+        directions: &Directions,
+        materials: &Materials<C>,
+        functions: &BlockFunctions<M::Precision<f32>>,
+        sums: &[ChannelSums; C],
+        by_basis: &Basis,
+        scale: f64,
+    ) -> TangentOffsets {
+        let mut by_normal: [Plane; 3] = Default::default();
+        for x in 0..BLOCK {
+            let mut by = [0.0; 3];
+            sh::each_slope(directions.normal(x), |k, axis, slope| {
+                if k < OPEN_DIFFUSE {
+                    by[axis] +=
+                        COSINE_TRANSFER[BAND_OF[k]] as f32 * slope * by_basis.diffuse[k].0[x];
+                }
+            });
+            for axis in 0..3 {
+                by_normal[axis].0[x] = by[axis];
+            }
+        }
+        let [mut by_lobe_normal, mut by_mirror] = <[[Plane; 3]; 2]>::default();
+        for x in 0..BLOCK {
+            let (normal, mirror) = (directions.normal(x), directions.mirror(x));
+            let [of_normal, of_mirror] =
+                M::lobe_adjoint::<f32, K>(normal, mirror, |i| by_basis.lobe[i].0[x]);
+            for axis in 0..3 {
+                by_lobe_normal[axis].0[x] = of_normal[axis];
+                by_mirror[axis].0[x] = of_mirror[axis];
+            }
+        }
+        for axis in 0..3 {
+            for x in 0..BLOCK {
+                by_normal[axis].0[x] += by_lobe_normal[axis].0[x];
+            }
+        }
+        // Planes of their own, which overlap nothing: else the compiler makes no vector code.
+        let mut by_cosine = Doubles::default();
+        for x in 0..BLOCK {
+            let factors = factors_of::<M, f32, C>(directions, materials, functions, x);
+            let (by_diffuse, by_row) = sums_of::<M, C>(sums, x);
+            let by_channel = factors.by_cosine(
+                directions.cosine(x),
+                &materials.get(x),
+                &by_diffuse,
+                &by_row,
+            );
+            let mut by = 0.0;
+            for c in 0..C {
+                by += by_channel[c];
+            }
+            by_cosine.0[x] = by;
+        }
+        let mut gradient = TangentOffsets::default();
+        for t in 0..2 {
+            let (normal, mirror) = (&self.normal[t], &self.mirror[t]);
+            let mut by_offset = Doubles::default();
+            for x in 0..BLOCK {
+                let mut by = by_cosine.0[x] * self.cosine[t].0[x];
+                for axis in 0..3 {
+                    by += f64::from(by_normal[axis].0[x]) * normal[axis].0[x]
+                        + f64::from(by_mirror[axis].0[x]) * mirror[axis].0[x];
+                }
+                by_offset.0[x] = scale * by;
+            }
+            gradient[t] = by_offset;
+        }
+        gradient
     }
 }
 
@@ -282,110 +317,5 @@ fn add_products<I: Vectors<f32>, const V: usize>(
         } else {
             isa.mul_add(factor[i], by_weights[i], sum[i])
         };
-    }
-}
-
-/// The last step: from the sums over pictures to the derivatives by the tangent offsets, times
-/// `scale`.
-///
-/// With g_D and g_B what [`ByBasis`] found, and x = n·v,
-///
-/// ```text
-/// g_n = Σ_k g_Dk A_l ∇Y_k(n) + Σ_jk g_Bjk ∂R_jk/∂n          g_R = Σ_jk g_Bjk ∂R_jk/∂mirror
-/// g_x = Σ_c dkd_c/dx g_kd_c + Σ_j ds_cj/dx g_s_cj
-/// g_a = g_n·∂n/∂a + g_R·∂mirror/∂a + g_x ∂x/∂a
-/// ```
-pub struct PullBackNormals<'a, M: Reflection, const C: usize, const K: usize> {
-    /// Where the pixels look.
-    pub directions: &'a Directions,
-    /// How that changes with their tangent offsets.
-    pub jacobian: &'a NormalJacobian,
-    /// What they are made of.
-    pub materials: &'a Materials<C>,
-    /// The functions of their roughness and n·v, with derivatives by n·v.
-    pub functions: &'a BlockFunctions<M::Precision<f32>>,
-    /// The adjoint of the factors.
-    pub sums: &'a [ChannelSums; C],
-    /// The adjoint of the basis functions.
-    pub by_basis: &'a Basis,
-    /// Factor on all derivatives.
-    pub scale: f64,
-    /// To be written.
-    pub gradient: &'a mut TangentOffsets,
-}
-
-impl<M: Reflection, const C: usize, const K: usize> Kernel for PullBackNormals<'_, M, C, K> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
-        let Self {
-            directions,
-            jacobian,
-            materials,
-            functions,
-            sums,
-            by_basis,
-            scale,
-            gradient,
-        } = self;
-        let mut by_normal: [Plane; 3] = Default::default();
-        for x in 0..BLOCK {
-            let mut by = [0.0; 3];
-            sh::each_slope(directions.normal(x), |k, axis, slope| {
-                if k < OPEN_DIFFUSE {
-                    by[axis] +=
-                        COSINE_TRANSFER[BAND_OF[k]] as f32 * slope * by_basis.diffuse[k].0[x];
-                }
-            });
-            for axis in 0..3 {
-                by_normal[axis].0[x] = by[axis];
-            }
-        }
-        let [mut by_lobe_normal, mut by_mirror] = <[[Plane; 3]; 2]>::default();
-        for x in 0..BLOCK {
-            let (normal, mirror) = (directions.normal(x), directions.mirror(x));
-            let [of_normal, of_mirror] =
-                M::lobe_adjoint::<f32, K>(normal, mirror, |i| by_basis.lobe[i].0[x]);
-            for axis in 0..3 {
-                by_lobe_normal[axis].0[x] = of_normal[axis];
-                by_mirror[axis].0[x] = of_mirror[axis];
-            }
-        }
-        for axis in 0..3 {
-            for x in 0..BLOCK {
-                by_normal[axis].0[x] += by_lobe_normal[axis].0[x];
-            }
-        }
-        // Planes of their own, which overlap nothing: else the compiler makes no vector code.
-        let mut by_cosine = Doubles::default();
-        for x in 0..BLOCK {
-            let factors = factors_of::<M, f32, C>(directions, materials, functions, x);
-            let (by_diffuse, by_row) = sums_of::<M, C>(sums, x);
-            let by_channel = factors.by_cosine(
-                directions.cosine(x),
-                &materials.get(x),
-                &by_diffuse,
-                &by_row,
-            );
-            let mut by = 0.0;
-            for c in 0..C {
-                by += by_channel[c];
-            }
-            by_cosine.0[x] = by;
-        }
-        for t in 0..2 {
-            let (normal, mirror) = (&jacobian.normal[t], &jacobian.mirror[t]);
-            let mut by_offset = Doubles::default();
-            for x in 0..BLOCK {
-                let mut by = by_cosine.0[x] * jacobian.cosine[t].0[x];
-                for axis in 0..3 {
-                    by += f64::from(by_normal[axis].0[x]) * normal[axis].0[x]
-                        + f64::from(by_mirror[axis].0[x]) * mirror[axis].0[x];
-                }
-                by_offset.0[x] = scale * by;
-            }
-            gradient[t] = by_offset;
-        }
     }
 }

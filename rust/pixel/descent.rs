@@ -24,7 +24,7 @@ use crate::pixel::offset_step::limit_offset_step;
 use crate::pixel::samples::{Sums, UNKNOWNS};
 use crate::reflectance::planes::{BLOCK, Doubles, Materials, Plane};
 use crate::reflectance::tangent_offset::OFFSETS;
-use crate::runtime::simd::{Instructions, Isa, Kernel};
+use crate::runtime::simd::{Instructions, vectorized};
 
 /// Longest move of perceptual roughness in one step; a longer one is cut to it. The derivative by
 /// roughness falls with r³ towards 0, so from there the step that Gauss–Newton proposes is far too
@@ -106,7 +106,7 @@ impl<const C: usize, const U: usize> Point<C, U> {
         least_squares.take(&self.materials, &self.offsets, only_squares, &mut self.sums);
         self.cost = self.sums.sum_sq_residuals;
         if let Some(prior) = prior {
-            isa.run(AddPrior { point: self, prior });
+            vectorized!(isa, self.add_prior(prior));
         }
     }
 
@@ -120,11 +120,100 @@ impl<const C: usize, const U: usize> Point<C, U> {
                 0.0
             };
         }
-        isa.run(CopySelected {
-            which: &lower,
-            from: other,
-            to: self,
-        });
+        vectorized!(isa, self.copy_selected(&lower, other));
+    }
+
+    #[inline(always)]
+    fn add_prior(&mut self, prior: &PriorPlanes) {
+        let (materials, [a, b]) = (&self.materials, &self.offsets);
+        let shared_values = [&materials.roughness, &materials.metallic, a, b];
+        for (f, values) in shared_values.into_iter().take(shared(U)).enumerate() {
+            let unknown = C + f;
+            for x in 0..BLOCK {
+                let precision = prior.precision[f].0[x];
+                let deviation = values.0[x] - prior.mean[f].0[x];
+                self.cost.0[x] += precision * deviation * deviation;
+                self.sums.gradient[unknown].0[x] += precision * deviation;
+                self.sums.matrix[unknown][unknown].0[x] += precision;
+            }
+        }
+    }
+
+    /// Copies the pixels whose entry of `which` is 1.
+    #[inline(always)]
+    fn copy_selected(&mut self, which: &Doubles, from: &Self) {
+        // By bits: of a choice between two numbers in memory the compiler makes a jump a pixel.
+        let mut new = [0; BLOCK];
+        for x in 0..BLOCK {
+            new[x] = if which.0[x] > 0.0 { u64::MAX } else { 0 };
+        }
+        let take = |from: &Doubles, to: &mut Doubles| {
+            for x in 0..BLOCK {
+                let (a, b) = (from.0[x].to_bits(), to.0[x].to_bits());
+                to.0[x] = f64::from_bits((a & new[x]) | (b & !new[x]));
+            }
+        };
+        for c in 0..C {
+            take(&from.materials.albedo[c], &mut self.materials.albedo[c]);
+        }
+        take(&from.materials.roughness, &mut self.materials.roughness);
+        take(&from.materials.metallic, &mut self.materials.metallic);
+        for offset in 0..shared(U) - 2 {
+            take(&from.offsets[offset], &mut self.offsets[offset]);
+        }
+        let (from_sums, to_sums) = (&from.sums, &mut self.sums);
+        for row in 0..C + shared(U) {
+            take(&from_sums.gradient[row], &mut to_sums.gradient[row]);
+            for column in 0..=row {
+                // Of the albedos with each other there is only the diagonal.
+                if row >= C || row == column {
+                    let to = &mut to_sums.matrix[row][column];
+                    take(&from_sums.matrix[row][column], to);
+                }
+            }
+        }
+        take(&from_sums.sum_sq_residuals, &mut to_sums.sum_sq_residuals);
+        take(&from.cost, &mut self.cost);
+    }
+
+    /// One step: writes what is to be tried into `trial`, and by how much the cost would fall were it
+    /// quadratic.
+    #[inline(always)]
+    fn step(
+        &self,
+        metallic_known: bool,
+        damping: &Doubles,
+        active: &Doubles,
+        trial: &mut Self,
+        predicted: &mut Doubles,
+    ) {
+        let materials = &self.materials;
+        let metallic_free = if metallic_known { 0.0 } else { 1.0 };
+        for x in 0..BLOCK {
+            let mut value = [0.0; U];
+            for c in 0..C {
+                value[c] = materials.albedo[c].0[x];
+            }
+            value[C] = materials.roughness.0[x];
+            value[C + 1] = materials.metallic.0[x];
+            let mut free = [active.0[x]; U];
+            free[C + 1] *= metallic_free;
+            let mut system = Arrowhead::<C, U>::of(&self.sums, x);
+            let offset = [self.offsets[0].0[x], self.offsets[1].0[x]];
+            let (step, there) =
+                boxed_step::<_, _, false>(&mut system, &value, offset, free, damping.0[x]);
+            for c in 0..C {
+                trial.materials.albedo[c].0[x] = (value[c] + step[c]).clamp(0.0, 1.0);
+            }
+            trial.materials.roughness.0[x] = (value[C] + step[C]).clamp(0.0, 1.0);
+            trial.materials.metallic.0[x] = (value[C + 1] + step[C + 1]).clamp(0.0, 1.0);
+            if U > UNKNOWNS {
+                for t in 0..OFFSETS {
+                    trial.offsets[t].0[x] = there[t];
+                }
+            }
+            predicted.0[x] = system.decrease(&step);
+        }
     }
 }
 
@@ -157,211 +246,55 @@ impl<const C: usize, const U: usize> Descent<'_, C, U> {
             if active.0.iter().all(|&a| a == 0.0) {
                 break;
             }
-            self.isa.run(Step {
-                point,
-                metallic_known: self.metallic_known,
-                damping: &damping,
-                active: &active,
-                trial: &mut self.trial.materials,
-                offsets: &mut self.trial.offsets,
-                predicted: &mut predicted,
-            });
+            let known = self.metallic_known;
+            let trial = &mut **self.trial;
+            vectorized!(
+                self.isa,
+                point.step(known, &damping, &active, trial, &mut predicted)
+            );
             self.trial
                 .take(self.isa, least_squares, self.prior, step == steps);
             let mut accepted = Doubles::default();
             let tried = active;
-            self.isa.run(UpdateDamping {
-                cost: &point.cost,
-                trial: &self.trial.cost,
-                predicted: &predicted,
-                floor: self.floor,
-                active: &mut active,
-                damping: &mut damping,
-                accepted: &mut accepted,
-            });
+            let costs = [&point.cost, &self.trial.cost, &predicted, self.floor];
+            let changes = [&mut active, &mut damping, &mut accepted];
+            vectorized!(self.isa, update_damping(costs, changes));
             // Where a pixel was not tried, both points are the same.
             if accepted.0 == tried.0 {
                 std::mem::swap(point, self.trial);
             } else {
-                self.isa.run(CopySelected {
-                    which: &accepted,
-                    from: self.trial,
-                    to: point,
-                });
+                vectorized!(self.isa, point.copy_selected(&accepted, self.trial));
             }
         }
-    }
-}
-
-struct AddPrior<'a, const C: usize, const U: usize> {
-    point: &'a mut Point<C, U>,
-    prior: &'a PriorPlanes,
-}
-
-impl<const C: usize, const U: usize> Kernel for AddPrior<'_, C, U> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
-        let Self { point, prior } = self;
-        let (materials, [a, b]) = (&point.materials, &point.offsets);
-        let shared_values = [&materials.roughness, &materials.metallic, a, b];
-        for (f, values) in shared_values.into_iter().take(shared(U)).enumerate() {
-            let unknown = C + f;
-            for x in 0..BLOCK {
-                let precision = prior.precision[f].0[x];
-                let deviation = values.0[x] - prior.mean[f].0[x];
-                point.cost.0[x] += precision * deviation * deviation;
-                point.sums.gradient[unknown].0[x] += precision * deviation;
-                point.sums.matrix[unknown][unknown].0[x] += precision;
-            }
-        }
-    }
-}
-
-/// Copies the pixels whose entry of `which` is 1.
-struct CopySelected<'a, const C: usize, const U: usize> {
-    which: &'a Doubles,
-    from: &'a Point<C, U>,
-    to: &'a mut Point<C, U>,
-}
-
-impl<const C: usize, const U: usize> Kernel for CopySelected<'_, C, U> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
-        let Self { which, from, to } = self;
-        // By bits: of a choice between two numbers in memory the compiler makes a jump a pixel.
-        let mut new = [0; BLOCK];
-        for x in 0..BLOCK {
-            new[x] = if which.0[x] > 0.0 { u64::MAX } else { 0 };
-        }
-        let take = |from: &Doubles, to: &mut Doubles| {
-            for x in 0..BLOCK {
-                let (a, b) = (from.0[x].to_bits(), to.0[x].to_bits());
-                to.0[x] = f64::from_bits((a & new[x]) | (b & !new[x]));
-            }
-        };
-        for c in 0..C {
-            take(&from.materials.albedo[c], &mut to.materials.albedo[c]);
-        }
-        take(&from.materials.roughness, &mut to.materials.roughness);
-        take(&from.materials.metallic, &mut to.materials.metallic);
-        for offset in 0..shared(U) - 2 {
-            take(&from.offsets[offset], &mut to.offsets[offset]);
-        }
-        for row in 0..C + shared(U) {
-            take(&from.sums.gradient[row], &mut to.sums.gradient[row]);
-            for column in 0..=row {
-                // Of the albedos with each other there is only the diagonal.
-                if row >= C || row == column {
-                    take(
-                        &from.sums.matrix[row][column],
-                        &mut to.sums.matrix[row][column],
-                    );
-                }
-            }
-        }
-        take(&from.sums.sum_sq_residuals, &mut to.sums.sum_sq_residuals);
-        take(&from.cost, &mut to.cost);
     }
 }
 
 /// Which trials are accepted, who is done, and the damping of the next step.
-struct UpdateDamping<'a> {
-    cost: &'a Doubles,
-    trial: &'a Doubles,
-    predicted: &'a Doubles,
-    floor: &'a Doubles,
-    active: &'a mut Doubles,
-    damping: &'a mut Doubles,
-    accepted: &'a mut Doubles,
-}
-
-impl Kernel for UpdateDamping<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
-        for x in 0..BLOCK {
-            // A comparison with NaN is false.
-            let fell = self.trial.0[x] < self.cost.0[x];
-            let accepted = if fell { self.active.0[x] } else { 0.0 };
-            let gained = if fell {
-                self.cost.0[x] - self.trial.0[x]
-            } else {
-                self.predicted.0[x]
-            };
-            let predicted = self.predicted.0[x];
-            let damping = self.damping.0[x];
-            let damping = if fell & (gained > GAIN_RATIO_GOOD * predicted) {
-                (DAMPING_DECREASE * damping).max(DAMPING_MIN)
-            } else if fell & (gained > GAIN_RATIO_POOR * predicted) {
-                damping
-            } else {
-                (DAMPING_INCREASE * damping).max(DAMPING_AFTER_REJECTION_MIN)
-            };
-            let goes_on = gained > self.floor.0[x] && damping < DAMPING_MAX;
-            self.accepted.0[x] = accepted;
-            self.damping.0[x] = damping;
-            self.active.0[x] = if goes_on { self.active.0[x] } else { 0.0 };
-        }
-    }
-}
-
-/// One step: what is to be tried, and by how much the cost would fall were it quadratic.
-struct Step<'a, const C: usize, const U: usize> {
-    point: &'a Point<C, U>,
-    metallic_known: bool,
-    damping: &'a Doubles,
-    active: &'a Doubles,
-    trial: &'a mut Materials<C>,
-    offsets: &'a mut TangentOffsets,
-    predicted: &'a mut Doubles,
-}
-
-impl<const C: usize, const U: usize> Kernel for Step<'_, C, U> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
-        let Self {
-            point,
-            metallic_known,
-            damping,
-            active,
-            trial,
-            offsets,
-            predicted,
-        } = self;
-        let materials = &point.materials;
-        let metallic_free = if metallic_known { 0.0 } else { 1.0 };
-        for x in 0..BLOCK {
-            let mut value = [0.0; U];
-            for c in 0..C {
-                value[c] = materials.albedo[c].0[x];
-            }
-            value[C] = materials.roughness.0[x];
-            value[C + 1] = materials.metallic.0[x];
-            let mut free = [active.0[x]; U];
-            free[C + 1] *= metallic_free;
-            let mut system = Arrowhead::<C, U>::of(&point.sums, x);
-            let offset = [point.offsets[0].0[x], point.offsets[1].0[x]];
-            let (step, there) =
-                boxed_step::<_, _, false>(&mut system, &value, offset, free, damping.0[x]);
-            for c in 0..C {
-                trial.albedo[c].0[x] = (value[c] + step[c]).clamp(0.0, 1.0);
-            }
-            trial.roughness.0[x] = (value[C] + step[C]).clamp(0.0, 1.0);
-            trial.metallic.0[x] = (value[C + 1] + step[C + 1]).clamp(0.0, 1.0);
-            if U > UNKNOWNS {
-                for t in 0..OFFSETS {
-                    offsets[t].0[x] = there[t];
-                }
-            }
-            predicted.0[x] = system.decrease(&step);
-        }
+#[inline(always)]
+fn update_damping(
+    [cost, trial, predicted, floor]: [&Doubles; 4],
+    [active, damping, accepted]: [&mut Doubles; 3],
+) {
+    for x in 0..BLOCK {
+        // A comparison with NaN is false.
+        let fell = trial.0[x] < cost.0[x];
+        accepted.0[x] = if fell { active.0[x] } else { 0.0 };
+        let predicted = predicted.0[x];
+        let gained = if fell {
+            cost.0[x] - trial.0[x]
+        } else {
+            predicted
+        };
+        let before = damping.0[x];
+        damping.0[x] = if fell & (gained > GAIN_RATIO_GOOD * predicted) {
+            (DAMPING_DECREASE * before).max(DAMPING_MIN)
+        } else if fell & (gained > GAIN_RATIO_POOR * predicted) {
+            before
+        } else {
+            (DAMPING_INCREASE * before).max(DAMPING_AFTER_REJECTION_MIN)
+        };
+        let goes_on = gained > floor.0[x] && damping.0[x] < DAMPING_MAX;
+        active.0[x] = if goes_on { active.0[x] } else { 0.0 };
     }
 }
 

@@ -20,11 +20,11 @@ use crate::pixel::product_form::{Form, FromProducts, LeastSquaresFromProducts};
 use crate::pixel::residual_steps::ResidualSteps;
 use crate::pixel::samples::{DERIVATIVES, FREE_DERIVATIVES, UNKNOWNS, by_kind, free_unknowns};
 use crate::problem::Problem;
+use crate::problem::by_pixel::fill_by_pixel;
 use crate::reflectance::planes::{BLOCK, Doubles, Materials};
 use crate::reflectance::sh::COEFFICIENTS;
-use crate::runtime::memory::zeros;
 use crate::runtime::simd::Instructions;
-use crate::runtime::{Result, check, pool};
+use crate::runtime::{Result, check};
 
 /// Blocks of pixels in a piece of work at most: a piece has a cost of its own.
 const MAX_CHUNK: usize = 8;
@@ -74,22 +74,19 @@ pub struct GaussianPrior<'a> {
     pub precision: &'a [f64],
 }
 
-/// Materials of D numbers: albedo by channel, roughness, metallic unless it is known and, where
-/// normals are free, the two tangent offsets.
-#[derive(Clone, Debug)]
-pub struct Fitted {
-    /// (pixel, D)
-    pub materials: Vec<f64>,
-    /// Σ ω (I − T)², without the prior: (pixel).
-    pub sum_sq_residuals: Vec<f64>,
-}
-
 impl Problem {
-    /// The best material of each of `pixels` with the lights of x, never worse than that of x.
+    /// The best material of each of `pixels` with the lights of x, never worse than that of x: D numbers,
+    /// albedo by channel, roughness, metallic unless it is known and, where normals are free, the two
+    /// tangent offsets, (pixel, D); and Σ ω (I − T)² without the prior, (pixel).
     ///
     /// What is compared is Σ ω (I − T)² and the prior; it is summed up residual by residual unless
     /// `exact_steps` is 0, when it comes from products. Free normals move in those steps only.
-    pub fn fit_materials(&self, x: &[f64], pixels: &[usize], search: &Search) -> Result<Fitted> {
+    pub fn fit_materials(
+        &self,
+        x: &[f64],
+        pixels: &[usize],
+        search: &Search,
+    ) -> Result<[Vec<f64>; 2]> {
         check::unit_interval("roughness", search.roughness)?;
         check::unit_interval("metallic", search.metallic)?;
         if let Some(prior) = &search.prior {
@@ -99,7 +96,7 @@ impl Problem {
             check::moderate("mean", prior.mean, PRIOR_MAX)?;
             check::not_negative("precision", prior.precision, PRIOR_MAX)?;
         }
-        let free = self.free_normals() && !search.held_normals;
+        let free = self.options.free_normals && !search.held_normals;
         by_kind!(self, free, M, C, D, U => fit::<M, C, D, U>(self, x, pixels, search))
     }
 }
@@ -117,9 +114,9 @@ fn fit<M: Fits, const C: usize, const D: usize, const U: usize>(
     x: &[f64],
     pixels: &[usize],
     search: &Search,
-) -> Result<Fitted> {
+) -> Result<[Vec<f64>; 2]> {
     let (maps, lights) = problem.at(x, pixels)?;
-    let known = problem.known_metallic();
+    let known = problem.options.metallic;
     let metallic = match &known {
         Some(metallic) => std::slice::from_ref(metallic),
         None => search.metallic,
@@ -128,43 +125,29 @@ fn fit<M: Fits, const C: usize, const D: usize, const U: usize>(
         metallic,
         ..*search
     };
-    let rows = if problem.free_normals() {
+    let rows = if problem.options.free_normals {
         free_unknowns::<C, FREE_DERIVATIVES>(problem)
     } else {
         free_unknowns::<C, DERIVATIVES>(problem)
     };
-    let unknowns = rows.len();
-    let mut fitted = Fitted {
-        materials: zeros("materials", pixels.len() * unknowns)?,
-        sum_sq_residuals: zeros("materials", pixels.len())?,
-    };
-    let size = (pixels.len().div_ceil(PIECES * BLOCK)).clamp(1, MAX_CHUNK) * BLOCK;
-    let pieces = pixels
-        .chunks(size)
-        .zip(fitted.materials.chunks_mut(size * unknowns))
-        .zip(fitted.sum_sq_residuals.chunks_mut(size))
-        .enumerate()
-        .collect();
-    pool::map(
-        problem.threads(),
-        pieces,
-        |(piece, ((pixels, materials), sum_sq_residuals))| {
-            let mut block = Block::<M, C, D, U>::new(problem, &lights, &search, &rows);
-            for (i, pixels) in pixels.chunks(BLOCK).enumerate() {
-                let best = block.fit(maps, pixels, piece * size + i * BLOCK);
-                for x in 0..pixels.len() {
-                    let p = i * BLOCK + x;
-                    // Rounding may leave less than nothing of a sum of squares.
-                    sum_sq_residuals[p] = best.sum_sq_residuals.0[x].max(0.0);
-                    let planes: Vec<_> = best.materials.planes().chain(best.offsets).collect();
-                    for (to, &row) in materials[p * unknowns..].iter_mut().zip(&rows) {
-                        *to = planes[row].0[x];
-                    }
+    fill_by_pixel(
+        ("materials", problem.options.threads),
+        pixels,
+        pixels.len().div_ceil(PIECES * BLOCK).clamp(1, MAX_CHUNK),
+        [rows.len(), 1],
+        || Block::<M, C, D, U>::new(problem, &lights, &search, &rows),
+        |block, first, pixels, [materials, sum_sq_residuals]| {
+            let best = block.fit(maps, pixels, first);
+            let planes: Vec<_> = best.materials.planes().chain(best.offsets).collect();
+            for (x, material) in materials.chunks_mut(rows.len()).enumerate() {
+                // Rounding may leave less than nothing of a sum of squares.
+                sum_sq_residuals[x] = best.sum_sq_residuals.0[x].max(0.0);
+                for (to, &row) in material.iter_mut().zip(&rows) {
+                    *to = planes[row].0[x];
                 }
             }
         },
-    );
-    Ok(fitted)
+    )
 }
 
 /// Up to [`BLOCK`] pixels.
@@ -207,9 +190,9 @@ impl<'a, M: Fits, const C: usize, const D: usize, const U: usize> Block<'a, M, C
             lights,
             search,
             rows,
-            isa: problem.instructions(),
+            isa: problem.options.instructions,
             grid: material_grid::Block::new(problem),
-            form: Form::new(problem.instructions()),
+            form: Form::new(problem.options.instructions),
             nodes: vec![Doubles::default(); if search.starts > 0 { nodes } else { 0 }],
             offsets: TangentOffsets::default(),
             own: Box::default(),
@@ -289,7 +272,7 @@ impl<'a, M: Fits, const C: usize, const D: usize, const U: usize> Block<'a, M, C
         Descent {
             isa,
             prior,
-            metallic_known: self.problem.known_metallic().is_some(),
+            metallic_known: self.problem.options.metallic.is_some(),
             floor: &floor,
             damping: PRODUCTS_DAMPING,
             trial: &mut self.trial,

@@ -86,7 +86,7 @@ impl PixelProducts {
         lights: &[[f64; COEFFICIENTS]],
         pixels: &[usize],
     ) {
-        let isa = problem.instructions();
+        let isa = problem.options.instructions;
         self.directions = problem.picked_directions(maps, pixels);
         problem.fill_basis::<M, f64, COEFFICIENTS>(
             &self.directions,

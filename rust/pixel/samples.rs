@@ -2,7 +2,7 @@
 //!
 //! A pixel depends on a few projections of a light: Σ_k A_l Y_k(n) L_k and, for each row of its
 //! lobe, Σ_k R_jk L_k. Radiance and its derivatives by the material are linear in them, with
-//! coefficients that no picture changes ([`FillResponses`]). Those by the two tangent offsets of a
+//! coefficients that no picture changes ([`Responses`]). Those by the two tangent offsets of a
 //! free normal are Σ_k L_k ∂w_ck/∂a, with ∂w_ck/∂a from
 //! [`weight_jacobian`](super::weight_jacobian).
 //!
@@ -18,12 +18,12 @@ use crate::block::weights::FillWeights;
 use crate::pixel::weight_jacobian::WeightJacobian;
 use crate::problem::Problem;
 use crate::reflectance::planes::{
-    BLOCK, ChannelFactors, Directions, Doubles, MAX_ROWS, Material, Materials, no_functions,
+    BLOCK, ChannelFactors, Directions, Doubles, MAX_ROWS, Materials, no_functions,
 };
 use crate::reflectance::reflection::{ExactFunctions, Factors, Reflection};
 use crate::reflectance::sh::COEFFICIENTS;
 use crate::reflectance::tangent_offset::OFFSETS;
-use crate::runtime::simd::{Instructions, Isa, Kernel, Vectors};
+use crate::runtime::simd::{Instructions, Isa, Kernel, Vectors, vectorized};
 
 /// Derivatives of a sample where normals are given: by its channel's albedo, roughness, metallic.
 pub(crate) const DERIVATIVES: usize = 3;
@@ -70,7 +70,7 @@ pub(crate) fn unknowns_of_channel<const C: usize, const D: usize>(channel: usize
 
 /// The unknowns that are free, in order: all but a known metallic.
 pub(crate) fn free_unknowns<const C: usize, const D: usize>(problem: &Problem) -> Vec<usize> {
-    let known = problem.known_metallic().is_some();
+    let known = problem.options.metallic.is_some();
     (0..C + D - 1)
         .filter(|&unknown| !(known && unknown == C + 1))
         .collect()
@@ -78,7 +78,6 @@ pub(crate) fn free_unknowns<const C: usize, const D: usize>(problem: &Problem) -
 
 /// Up to [`BLOCK`] pixels, picked from anywhere, and their samples.
 pub(crate) struct Block<'a, M: Reflection, const C: usize, const D: usize> {
-    model: M,
     problem: &'a Problem,
     isa: Instructions,
     directions: Directions<f64>,
@@ -120,9 +119,8 @@ impl Default for Responses {
 impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
     pub(crate) fn new(problem: &'a Problem) -> Self {
         Self {
-            model: M::default(),
             problem,
-            isa: problem.instructions(),
+            isa: problem.options.instructions,
             directions: Directions::default(),
             materials: Materials::default(),
             basis: Basis::default(),
@@ -153,7 +151,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
     pub(crate) fn place(&mut self, maps: &[f64], pixels: &[usize]) {
         self.problem.pick_samples(pixels, &mut self.given);
         if let Some(weight_jacobian) = &mut self.weight_jacobian {
-            weight_jacobian.place(self.problem, pixels);
+            weight_jacobian.given = self.problem.picked_given(pixels);
             return;
         }
         self.directions = self.problem.picked_directions(maps, pixels);
@@ -184,17 +182,24 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
             functions: &mut self.functions,
         });
         for c in 0..C {
-            self.isa.run(FillResponses {
-                directions: &self.directions,
-                albedo: &self.materials.albedo[c],
-                roughness: &self.materials.roughness,
-                metallic: &self.materials.metallic,
-                functions: &self.functions,
-                responses: &mut self.responses[c],
-                model: PhantomData::<M>,
-            });
+            let (directions, materials) = (&self.directions, &self.materials);
+            let responses = &mut self.responses[c];
+            vectorized!(
+                self.isa,
+                responses.fill::<M, C>(c, directions, materials, &self.functions)
+            );
         }
-        self.fill_weights();
+        // The derivatives by the lights.
+        for (factors, responses) in self.factors.iter_mut().zip(&self.responses) {
+            factors.diffuse = responses.radiance[0];
+            factors.rows[..M::ROWS].copy_from_slice(&responses.radiance[1..=M::ROWS]);
+        }
+        self.isa.run(FillWeights {
+            basis: &self.basis,
+            factors: &self.factors,
+            weights: &mut self.weights,
+            model: M::default(),
+        });
         if let Some(weight_jacobian) = &mut self.weight_jacobian {
             weight_jacobian.fill::<M, C>(
                 self.isa,
@@ -204,20 +209,6 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
                 &self.functions,
             );
         }
-    }
-
-    /// Works out the derivatives by the lights.
-    fn fill_weights(&mut self) {
-        for (factors, responses) in self.factors.iter_mut().zip(&self.responses) {
-            factors.diffuse = responses.radiance[0];
-            factors.rows[..M::ROWS].copy_from_slice(&responses.radiance[1..=M::ROWS]);
-        }
-        self.isa.run(FillWeights {
-            basis: &self.basis,
-            factors: &self.factors,
-            weights: &mut self.weights,
-            model: self.model,
-        });
     }
 
     /// Adds all samples to the normal equations, and keeps them, or none. Lights are (channel,
@@ -263,12 +254,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
     /// Adds Σ ω w_ck v over the pixels, of channel c and a picture: (K).
     pub(crate) fn add_weighted(&self, c: usize, picture: usize, v: &Doubles, sums: &mut [f64]) {
         let [_, omega] = &self.given[c * self.problem.pictures() + picture];
-        self.isa.run(AddWeighted {
-            omega,
-            values: v,
-            weights: &self.weights[c],
-            sums,
-        });
+        vectorized!(self.isa, add_weighted(omega, v, &self.weights[c], sums));
     }
 
     /// Sum of squares and, unless nobody asks for it, gradient with given normals, in the place of
@@ -302,78 +288,28 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
 }
 
 /// Adds Σ ω w_k v over the pixels.
-struct AddWeighted<'a> {
-    omega: &'a Doubles,
-    values: &'a Doubles,
-    weights: &'a [Doubles; COEFFICIENTS],
-    sums: &'a mut [f64],
-}
-
-impl Kernel for AddWeighted<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
-        /// Numbers that are summed side by side.
-        const LANES: usize = 8;
-        let mut weighted = Doubles::default();
-        for x in 0..BLOCK {
-            weighted.0[x] = self.omega.0[x] * self.values.0[x];
-        }
-        let weighted = weighted.0.as_chunks::<LANES>().0;
-        for (sum, weights) in self.sums.iter_mut().zip(self.weights) {
-            let mut lanes = [0.0; LANES];
-            for (weights, weighted) in weights.0.as_chunks::<LANES>().0.iter().zip(weighted) {
-                for x in 0..LANES {
-                    lanes[x] += weighted[x] * weights[x];
-                }
-            }
-            *sum += lanes.iter().sum::<f64>();
-        }
+#[inline(always)]
+fn add_weighted(
+    omega: &Doubles,
+    values: &Doubles,
+    weights: &[Doubles; COEFFICIENTS],
+    sums: &mut [f64],
+) {
+    /// Numbers that are summed side by side.
+    const LANES: usize = 8;
+    let mut weighted = Doubles::default();
+    for x in 0..BLOCK {
+        weighted.0[x] = omega.0[x] * values.0[x];
     }
-}
-
-/// Fills in the coefficients of one channel: what [`Factors`] make of each projection alone.
-pub(crate) struct FillResponses<'a, M: Reflection> {
-    pub(crate) directions: &'a Directions<f64>,
-    pub(crate) albedo: &'a Doubles,
-    pub(crate) roughness: &'a Doubles,
-    pub(crate) metallic: &'a Doubles,
-    pub(crate) functions: &'a ExactFunctions<M>,
-    pub(crate) responses: &'a mut Responses,
-    pub(crate) model: PhantomData<M>,
-}
-
-impl<M: Reflection> Kernel for FillResponses<'_, M> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
-        for x in 0..BLOCK {
-            let material = Material {
-                albedo: [self.albedo.0[x]],
-                roughness: self.roughness.0[x],
-                metallic: self.metallic.0[x],
-            };
-            let functions = M::functions_of(self.functions, x);
-            let factors = M::factors(self.directions.cosine(x), &material, functions);
-            // One call, in a loop: of several the compiler would make a function and no vector code.
-            for projection in 0..=M::ROWS {
-                let mut alone = [0.0; MAX_PROJECTIONS];
-                alone[projection] = 1.0;
-                let mut by_row = [0.0; MAX_ROWS];
-                by_row.copy_from_slice(&alone[1..]);
-                let derivatives = factors.pull_back(&material, &[alone[0]], &[by_row]);
-                self.responses.radiance[projection].0[x] = if projection == 0 {
-                    factors.diffuse(0)
-                } else {
-                    factors.row(0, projection - 1)
-                };
-                self.responses.derivatives[0][projection].0[x] = derivatives.albedo[0];
-                self.responses.derivatives[1][projection].0[x] = derivatives.roughness;
-                self.responses.derivatives[2][projection].0[x] = derivatives.metallic;
+    let weighted = weighted.0.as_chunks::<LANES>().0;
+    for (sum, weights) in sums.iter_mut().zip(weights) {
+        let mut lanes = [0.0; LANES];
+        for (weights, weighted) in weights.0.as_chunks::<LANES>().0.iter().zip(weighted) {
+            for x in 0..LANES {
+                lanes[x] += weighted[x] * weights[x];
             }
         }
+        *sum += lanes.iter().sum::<f64>();
     }
 }
 
@@ -443,6 +379,38 @@ struct ChannelAt<I: Vectors<f64>, const D: usize> {
 }
 
 impl Responses {
+    /// Fills in those of channel c: what [`Factors`] make of each projection alone.
+    #[inline(always)]
+    pub(crate) fn fill<M: Reflection, const C: usize>(
+        &mut self,
+        c: usize,
+        directions: &Directions<f64>,
+        materials: &Materials<C>,
+        functions: &ExactFunctions<M>,
+    ) {
+        for x in 0..BLOCK {
+            let material = materials.of_channel(c, x);
+            let functions = M::functions_of(functions, x);
+            let factors = M::factors(directions.cosine(x), &material, functions);
+            // One call, in a loop: of several the compiler would make a function and no vector code.
+            for projection in 0..=M::ROWS {
+                let mut alone = [0.0; MAX_PROJECTIONS];
+                alone[projection] = 1.0;
+                let mut by_row = [0.0; MAX_ROWS];
+                by_row.copy_from_slice(&alone[1..]);
+                let derivatives = factors.pull_back(&material, &[alone[0]], &[by_row]);
+                self.radiance[projection].0[x] = if projection == 0 {
+                    factors.diffuse(0)
+                } else {
+                    factors.row(0, projection - 1)
+                };
+                self.derivatives[0][projection].0[x] = derivatives.albedo[0];
+                self.derivatives[1][projection].0[x] = derivatives.roughness;
+                self.derivatives[2][projection].0[x] = derivatives.metallic;
+            }
+        }
+    }
+
     #[inline(always)]
     fn take<M: Reflection, I: Vectors<f64>>(&self, v: usize, at: &mut ResponsesAt<I::Vector>) {
         for s in 0..=M::ROWS {

@@ -4,17 +4,14 @@
 //! unknown lights, unknown normals) is not in its version at all, so it costs nothing and no loop
 //! asks for it.
 
-use std::marker::PhantomData;
 use std::ops::Range;
 
 use super::{Problem, add, chunks_of_planes};
-use crate::block::adjoint::{ByFactors, ByLights, Flush, Parts, WideParts};
+use crate::block::adjoint::{ByFactors, ByLights, Parts, WideParts, flush};
 use crate::block::basis::Basis;
-use crate::block::bounced::{ByBounced, LessBounced};
-use crate::block::factors::{FillFactors, Load, PullBack};
-use crate::block::normal_jacobian::{
-    ByBasis, GivenNormals, NormalJacobian, OffsetNormals, PullBackNormals, TangentOffsets,
-};
+use crate::block::bounced::{add_bounced, subtract_bounced};
+use crate::block::factors::{FillFactors, load};
+use crate::block::normal_jacobian::{ByBasis, NormalJacobian, TangentOffsets};
 use crate::block::radiance::Residuals;
 use crate::block::weights::FillWeights;
 use crate::reflectance::model::with_model_of;
@@ -23,6 +20,7 @@ use crate::reflectance::planes::{
 };
 use crate::reflectance::reflection::Reflection;
 use crate::reflectance::tangent_offset::OFFSET_MAX;
+use crate::runtime::simd::vectorized;
 use crate::runtime::{Result, check, pool};
 
 /// Pictures at most that go through the products together: their residuals stay in the cache.
@@ -44,8 +42,9 @@ impl Problem {
         let chunk = self.chunk();
         let pieces = self
             .chunks()
-            .zip(chunks_of_planes(by_maps, self.pixels, chunk * BLOCK));
-        let partials = pool::map(self.threads, pieces.collect(), |(blocks, mut out)| {
+            .zip(chunks_of_planes(by_maps, self.pixels(), chunk * BLOCK));
+        let (threads, pieces) = (self.options.threads, pieces.collect());
+        let partials = pool::map(threads, pieces, |(blocks, mut out)| {
             let piece = Piece {
                 problem: self,
                 maps,
@@ -66,10 +65,10 @@ impl Problem {
             loss += partial.loss;
             add(&mut by_lights, &partial.by_lights);
         }
-        let (k, c) = (self.coefficients, self.channels);
+        let (k, c) = (self.coefficients(), self.channels());
         for (i, of_entry) in by_lighting.iter_mut().enumerate() {
             let (picture, coefficient, channel) = (i / (k * c), i / c % k, i % c);
-            *of_entry = factor * by_lights[(channel * self.pictures + picture) * k + coefficient];
+            *of_entry = factor * by_lights[(channel * self.pictures() + picture) * k + coefficient];
         }
         Ok(loss / self.total_weight)
     }
@@ -77,8 +76,8 @@ impl Problem {
     /// Lights in float32: (channel, picture, coefficient).
     fn by_channel(&self, lighting: &[f64]) -> Vec<f32> {
         let mut lights = Vec::with_capacity(lighting.len());
-        for c in 0..self.channels {
-            let of_channel = lighting.iter().skip(c).step_by(self.channels);
+        for c in 0..self.channels() {
+            let of_channel = lighting.iter().skip(c).step_by(self.channels());
             lights.extend(of_channel.map(|&l| l as f32));
         }
         lights
@@ -114,7 +113,7 @@ struct Partial {
 
 /// The version for a problem.
 fn choose(problem: &Problem) -> Evaluate {
-    with_model_of!(problem, M => match (problem.channels, problem.coefficients) {
+    with_model_of!(problem, M => match (problem.channels(), problem.coefficients()) {
         (1, 9) => with::<M, 1, 9>(problem),
         (1, _) => with::<M, 1, 16>(problem),
         (_, 9) => with::<M, 3, 9>(problem),
@@ -123,12 +122,8 @@ fn choose(problem: &Problem) -> Evaluate {
 }
 
 fn with<M: Reflection, const C: usize, const K: usize>(problem: &Problem) -> Evaluate {
-    let free_lights = problem.lighting.is_none();
-    match (
-        !problem.weights.is_empty(),
-        free_lights,
-        problem.free_normals(),
-    ) {
+    let (weighted, free_normals) = (problem.weights.is_some(), problem.options.free_normals);
+    match (weighted, problem.options.lighting.is_none(), free_normals) {
         (false, true, false) => evaluate::<M, C, K, false, true, false>,
         (false, false, false) => evaluate::<M, C, K, false, false, false>,
         (true, true, false) => evaluate::<M, C, K, true, true, false>,
@@ -146,7 +141,6 @@ struct FreeNormals {
     offsets: TangentOffsets,
     jacobian: NormalJacobian,
     by_basis: Basis,
-    by_offsets: TangentOffsets,
 }
 
 /// A block at a time: basis functions and factors of its pixels; then, channel by channel and
@@ -169,7 +163,8 @@ fn evaluate<
         factor,
         ref blocks,
     } = piece;
-    let (isa, pixels, pictures) = (problem.instructions(), problem.pixels(), problem.pictures());
+    let (pixels, pictures) = (problem.pixels(), problem.pictures());
+    let isa = problem.options.instructions;
     let lights: &[[f32; K]] = lights.as_chunks().0;
     let (of_materials, of_offsets) = problem.split_maps(maps);
     let materials_of_gradient = problem.unknowns_of_material();
@@ -195,7 +190,7 @@ fn evaluate<
 
     let mut directions = Directions::default();
     let mut free_normals = FREE_NORMALS.then(Box::<FreeNormals>::default);
-    if let Some(known) = problem.known_metallic() {
+    if let Some(known) = problem.options.metallic {
         materials.metallic.0.fill(known);
     }
 
@@ -208,41 +203,27 @@ fn evaluate<
             roughness,
             metallic,
         } = &mut materials;
-        partial.in_range &= isa.run(Load {
-            maps: of_materials,
-            pixels,
-            first,
-            count,
-            range: [0.0, 1.0],
-            unused: 0.5,
-            planes: albedo.iter_mut().chain([roughness, metallic]),
-        });
-        let (given, to) = (problem.given_directions(block), &mut directions);
+        let taken = first..first + count;
+        let planes = albedo.iter_mut().chain([roughness, metallic]);
+        partial.in_range &= vectorized!(
+            isa,
+            load(of_materials, pixels, taken.clone(), [0.0, 1.0], 0.5, planes)
+        );
+        let (given, to) = (&problem.given[block], &mut directions);
         match &mut free_normals {
-            None => isa.run(GivenNormals {
-                given,
-                directions: to,
-            }),
+            None => vectorized!(isa, given.place(to)),
             Some(free) => {
-                partial.in_range &= isa.run(Load {
-                    maps: of_offsets,
-                    pixels,
-                    first,
-                    count,
-                    range: [-OFFSET_MAX, OFFSET_MAX],
-                    unused: 0.0,
-                    planes: free.offsets.iter_mut(),
-                });
-                isa.run(OffsetNormals {
-                    given,
-                    offsets: &free.offsets,
-                    directions: to,
-                    jacobian: &mut free.jacobian,
-                });
+                let (planes, range) = (free.offsets.iter_mut(), [-OFFSET_MAX, OFFSET_MAX]);
+                partial.in_range &= vectorized!(
+                    isa,
+                    load(of_offsets, pixels, taken.clone(), range, 0.0, planes)
+                );
+                let (offsets, jacobian) = (&free.offsets, &mut free.jacobian);
+                vectorized!(isa, given.turn(offsets, to, jacobian));
             }
         }
         let directions = &directions;
-        problem.fill_basis::<M, f32, K>(directions, first..first + count, &mut basis);
+        problem.fill_basis::<M, f32, K>(directions, taken.clone(), &mut basis);
         isa.run(FillFactors::<M, _, _> {
             directions,
             materials: &materials,
@@ -261,7 +242,7 @@ fn evaluate<
             let targets = problem.targets(block, c);
             let sample_weights = problem.weights(block, c);
             if M::SURROUNDED {
-                problem.fill_bounced::<M>(first..first + count, c, &mut bounced);
+                problem.fill_bounced::<M>(taken.clone(), c, &mut bounced);
             }
             for group in groups(pictures) {
                 let lights = &lights[c * pictures..][group.clone()];
@@ -270,14 +251,9 @@ fn evaluate<
                 let brought = group.start * (1 + M::ROWS)..group.end * (1 + M::ROWS);
                 let bounced = bounced.get(brought).unwrap_or_default();
                 if M::SURROUNDED && !bounced.is_empty() {
-                    isa.run(LessBounced::<M> {
-                        factors: &factors[c],
-                        bounced,
-                        targets,
-                        less: &mut less[..group.len()],
-                        model: PhantomData,
-                    });
-                    targets = &less[..group.len()];
+                    let (factors, less) = (&factors[c], &mut less[..group.len()]);
+                    vectorized!(isa, subtract_bounced::<M>(factors, bounced, targets, less));
+                    targets = less;
                 }
                 let sample_weights = if WEIGHTED {
                     &sample_weights[group.clone()]
@@ -306,12 +282,8 @@ fn evaluate<
                     model,
                 });
                 if M::SURROUNDED && !bounced.is_empty() {
-                    isa.run(ByBounced::<M> {
-                        residuals,
-                        bounced,
-                        sums: &mut sums[c],
-                        model: PhantomData,
-                    });
+                    let sums = &mut sums[c];
+                    vectorized!(isa, add_bounced::<M>(residuals, bounced, sums));
                 }
                 if FREE_LIGHTS {
                     isa.run(ByLights {
@@ -322,38 +294,31 @@ fn evaluate<
                 }
             }
         }
-        isa.run(PullBack::<M, _> {
-            directions,
-            materials: &materials,
-            functions: &functions,
-            sums: &sums,
-            scale: factor,
-            gradient: &mut by_materials,
-        });
+        let (materials, functions) = (&materials, &functions);
+        let to = &mut by_materials;
+        vectorized!(
+            isa,
+            M::pull_back_block(directions, materials, functions, &sums, factor, to)
+        );
         let to = first - first_pixel;
         by_materials.store(&mut gradient[..materials_of_gradient], to, count);
         if let Some(free) = &mut free_normals {
-            isa.run(PullBackNormals::<M, C, K> {
-                directions,
-                jacobian: &free.jacobian,
-                materials: &materials,
-                functions: &functions,
-                sums: &sums,
-                by_basis: &free.by_basis,
-                scale: factor,
-                gradient: &mut free.by_offsets,
-            });
+            let (jacobian, by_basis) = (&free.jacobian, &free.by_basis);
+            let by_offsets = vectorized!(
+                isa,
+                jacobian.pull_back::<M, C, K>(
+                    directions, materials, functions, &sums, by_basis, factor
+                )
+            );
             let planes = gradient[materials_of_gradient..].iter_mut();
-            for (plane, own) in planes.zip(&free.by_offsets) {
+            for (plane, own) in planes.zip(&by_offsets) {
                 plane[to..][..count].copy_from_slice(&own.0[..count]);
             }
         }
 
         if FREE_LIGHTS && ((block + 1) % FLUSH == 0 || block + 1 == blocks.end) {
-            isa.run(Flush {
-                from: light_sums.as_flattened_mut(),
-                to: light_totals.as_flattened_mut(),
-            });
+            let (from, to) = (&mut light_sums, &mut light_totals);
+            vectorized!(isa, flush(from.as_flattened_mut(), to.as_flattened_mut()));
         }
     }
     partial.by_lights = light_totals

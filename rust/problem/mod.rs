@@ -1,5 +1,6 @@
 //! The pictures of one scene, and the loss over them with its gradient by every unknown.
 
+pub(crate) mod by_pixel;
 mod evaluate;
 pub mod render;
 mod surroundings;
@@ -9,10 +10,8 @@ use std::ops::Range;
 
 use glam::DVec3;
 
-use self::targets::{Targets, planes};
-use crate::block::normal_jacobian::{
-    GivenDirections, GivenNormals, NormalJacobian, OffsetNormals, TangentOffsets,
-};
+use self::targets::Targets;
+use crate::block::normal_jacobian::{GivenDirections, TangentOffsets};
 use crate::reflectance::model::{Model, with_model};
 use crate::reflectance::planes::{BLOCK, Directions, Material, Plane};
 use crate::reflectance::reflection::Reflection;
@@ -20,7 +19,7 @@ use crate::reflectance::sh::COEFFICIENTS;
 use crate::reflectance::tangent_offset;
 use crate::runtime::check::LARGEST_F32;
 use crate::runtime::memory::collect;
-use crate::runtime::simd::Instructions;
+use crate::runtime::simd::{Instructions, vectorized};
 use crate::runtime::{Error, Result, check};
 use crate::transport::table::Transfer;
 
@@ -94,25 +93,16 @@ impl Default for Options {
 /// of (I − T)² over pixels, pictures and channels, weighted if there are weights.
 #[derive(Debug)]
 pub struct Problem {
-    pixels: usize,
-    pictures: usize,
-    channels: usize,
-    coefficients: usize,
-    model: Model,
-    metallic: Option<f64>,
-    lighting: Option<Vec<f64>>,
-    threads: usize,
-    instructions: Instructions,
+    pub(crate) options: Options,
     /// Sum of the weights of all samples and channels.
     total_weight: f64,
-    /// Whether normals are unknowns.
-    free_normals: bool,
-    /// By block.
-    given: Vec<GivenDirections>,
-    transfer: Option<Transfer>,
+    /// Normals and views, by block.
+    pub(crate) given: Vec<GivenDirections>,
+    /// What takes the place of the model's rows, if anything does.
+    pub(crate) transfer: Option<Transfer>,
     targets: Targets,
-    /// (block, channel, picture), with one channel where all share a weight; or empty.
-    weights: Vec<Plane>,
+    /// With one channel where all share a weight.
+    weights: Option<Targets>,
 }
 
 impl Problem {
@@ -126,8 +116,7 @@ impl Problem {
             transfer,
         } = given;
         targets.complete()?;
-        let [pixels, pictures, channels] =
-            [targets.pixels(), targets.pictures(), targets.channels()];
+        let [pixels, pictures, channels] = [targets.pixels, targets.pictures, targets.channels];
         check::length("normals", pixels, normals.len())?;
         check::length("views", pixels, views.len())?;
         check::unit_vectors("normals", normals)?;
@@ -149,7 +138,7 @@ impl Problem {
         }
         let samples = pictures * pixels;
         let (weights, total_weight) = match weights {
-            None => (Vec::new(), (samples * channels) as f64),
+            None => (None, (samples * channels) as f64),
             Some(weights) => {
                 let of_sample = if weights.len() == samples {
                     1
@@ -158,8 +147,11 @@ impl Problem {
                 };
                 check::length("weights", samples * of_sample, weights.len())?;
                 let total = check::weights("weights", weights)? * (channels / of_sample) as f64;
-                let planes = planes("weights", weights, pictures, of_sample, options.threads)?;
-                (planes, total)
+                let mut planes = Targets::new(pixels, pictures, of_sample, options.threads)?;
+                for picture in weights.chunks(pixels * of_sample) {
+                    planes.push(picture)?;
+                }
+                (Some(planes), total)
             }
         };
 
@@ -177,19 +169,11 @@ impl Problem {
                 check::moderate("bounced", &transfer.bounced, LARGEST_F32)?;
             }
         }
+        let given = GivenDirections::blocks(normals, views, options.free_normals)?;
         Ok(Self {
-            pixels,
-            pictures,
-            channels,
-            coefficients,
-            model: options.model,
-            metallic: options.metallic,
-            lighting: options.lighting,
-            threads: options.threads,
-            instructions: options.instructions,
+            options,
             total_weight,
-            free_normals: options.free_normals,
-            given: GivenDirections::blocks(normals, views, options.free_normals)?,
+            given,
             transfer,
             targets,
             weights,
@@ -198,59 +182,52 @@ impl Problem {
 
     /// Number of pixels.
     pub fn pixels(&self) -> usize {
-        self.pixels
+        self.targets.pixels
     }
 
     /// Number of pictures.
     pub fn pictures(&self) -> usize {
-        self.pictures
+        self.targets.pictures
     }
 
     /// Number of colour channels.
     pub fn channels(&self) -> usize {
-        self.channels
+        self.targets.channels
     }
 
     /// Coefficients of a light in one channel.
     pub fn coefficients(&self) -> usize {
-        self.coefficients
-    }
-
-    /// What makes radiance of materials.
-    pub fn model(&self) -> Model {
-        self.model
+        (self.options.sh_order + 1).pow(2)
     }
 
     /// Number of unknowns that are maps, the first part of x.
     pub fn maps(&self) -> usize {
-        self.unknowns_of_pixel() * self.pixels
+        self.unknowns_of_pixel() * self.pixels()
     }
 
     /// Number of unknowns.
     pub fn size(&self) -> usize {
-        let lights = self.pictures * self.coefficients * self.channels;
-        self.maps() + if self.lighting.is_none() { lights } else { 0 }
+        let of_lights = match self.options.lighting {
+            None => self.pictures() * self.coefficients() * self.channels(),
+            Some(_) => 0,
+        };
+        self.maps() + of_lights
     }
 
     /// Unknowns of a pixel: those of its material, and its tangent offset where normals are free.
     pub(crate) fn unknowns_of_pixel(&self) -> usize {
-        self.unknowns_of_material() + if self.free_normals() { 2 } else { 0 }
+        self.unknowns_of_material() + if self.options.free_normals { 2 } else { 0 }
     }
 
     /// Unknowns of a pixel's material: albedo, roughness and, unless it is known, metallic.
     pub(crate) fn unknowns_of_material(&self) -> usize {
-        self.channels + 1 + usize::from(self.metallic.is_none())
-    }
-
-    /// Whether normals are unknowns.
-    pub(crate) fn free_normals(&self) -> bool {
-        self.free_normals
+        self.channels() + 1 + usize::from(self.options.metallic.is_none())
     }
 
     /// Maps, in their planes of materials and of tangent offsets; the latter empty where normals
     /// are known.
     pub(crate) fn split_maps<'a>(&self, maps: &'a [f64]) -> (&'a [f64], &'a [f64]) {
-        maps.split_at(self.unknowns_of_material() * self.pixels)
+        maps.split_at(self.unknowns_of_material() * self.pixels())
     }
 
     /// The normals of all pixels; `maps` is the first part of x.
@@ -258,8 +235,8 @@ impl Problem {
         check::length("maps", self.maps(), maps.len())?;
         let (_, offsets) = self.split_maps(maps);
         check::moderate("maps (tangent offset)", offsets, tangent_offset::OFFSET_MAX)?;
-        let normals = (0..self.pixels).map(|p| self.normal(maps, p));
-        collect("normals", self.pixels, normals)
+        let normals = (0..self.pixels()).map(|p| self.normal(maps, p));
+        collect("normals", self.pixels(), normals)
     }
 
     /// x where some pixels are asked for, checked: its maps, and its lights, known or of x, as
@@ -271,7 +248,7 @@ impl Problem {
     ) -> Result<(&'a [f64], Vec<[f64; COEFFICIENTS]>)> {
         let (maps, lighting) = self.split(x)?;
         self.check_maps(maps)?;
-        check::indices("pixels", self.pixels, pixels)?;
+        check::indices("pixels", self.pixels(), pixels)?;
         Ok((maps, self.padded_lights(lighting)))
     }
 
@@ -286,7 +263,7 @@ impl Problem {
     fn split<'a>(&'a self, x: &'a [f64]) -> Result<(&'a [f64], &'a [f64])> {
         check::length("x", self.size(), x.len())?;
         let (maps, free) = x.split_at(self.maps());
-        let Some(known) = &self.lighting else {
+        let Some(known) = &self.options.lighting else {
             check::moderate("x (lighting)", free, LARGEST_F32)?;
             return Ok((maps, free));
         };
@@ -297,7 +274,7 @@ impl Problem {
     pub(crate) fn material<const C: usize>(&self, maps: &[f64], p: usize) -> Material<C> {
         let (roughness, metallic) = self.roughness_and_metallic(maps, p);
         Material {
-            albedo: std::array::from_fn(|c| maps[c * self.pixels + p]),
+            albedo: std::array::from_fn(|c| maps[c * self.pixels() + p]),
             roughness,
             metallic,
         }
@@ -305,23 +282,23 @@ impl Problem {
 
     /// The same without albedo.
     pub(crate) fn roughness_and_metallic(&self, maps: &[f64], p: usize) -> (f64, f64) {
-        let plane = |i: usize| maps[(self.channels + i) * self.pixels + p];
-        (plane(0), self.metallic.unwrap_or_else(|| plane(1)))
+        let plane = |i: usize| maps[(self.channels() + i) * self.pixels() + p];
+        (plane(0), self.options.metallic.unwrap_or_else(|| plane(1)))
     }
 
     /// The tangent offset of a pixel; 0 where normals are known.
     fn offset(&self, maps: &[f64], p: usize) -> [f64; 2] {
-        if !self.free_normals() {
+        if !self.options.free_normals {
             return [0.0; 2];
         }
         let (_, offsets) = self.split_maps(maps);
-        [offsets[p], offsets[self.pixels + p]]
+        [offsets[p], offsets[self.pixels() + p]]
     }
 
     /// Lights (picture, coefficient, channel), of any number of pictures, as (channel, picture,
     /// coefficient), with zeros where a band is left out.
     pub(crate) fn padded_lights(&self, lighting: &[f64]) -> Vec<[f64; COEFFICIENTS]> {
-        let (k, channels) = (self.coefficients, self.channels);
+        let (k, channels) = (self.coefficients(), self.channels());
         let mut lights = Vec::with_capacity(lighting.len() / k);
         for channel in 0..channels {
             lights.extend(lighting.chunks(k * channels).map(|of_picture| {
@@ -336,7 +313,7 @@ impl Problem {
     }
 
     fn blocks(&self) -> usize {
-        self.pixels.div_ceil(BLOCK)
+        self.pixels().div_ceil(BLOCK)
     }
 
     /// Blocks in a piece of work.
@@ -352,23 +329,6 @@ impl Problem {
             .map(move |first| first..(first + chunk).min(blocks))
     }
 
-    pub(crate) fn threads(&self) -> usize {
-        self.threads
-    }
-
-    pub(crate) fn instructions(&self) -> Instructions {
-        self.instructions
-    }
-
-    pub(crate) fn known_metallic(&self) -> Option<f64> {
-        self.metallic
-    }
-
-    /// Given normals and views of a block.
-    pub(crate) fn given_directions(&self, block: usize) -> &GivenDirections {
-        &self.given[block]
-    }
-
     /// A plane for each picture.
     pub(crate) fn targets(&self, block: usize, channel: usize) -> &[Plane] {
         self.targets.planes(block, channel)
@@ -377,16 +337,12 @@ impl Problem {
     /// Where some pixels look, at most [`BLOCK`] of them, from anywhere; at the tangent offsets of x.
     pub(crate) fn picked_directions(&self, maps: &[f64], pixels: &[usize]) -> Directions<f64> {
         let (given, mut picked) = (&self.picked_given(pixels), Directions::default());
-        let directions = &mut picked;
-        if self.free_normals {
-            self.instructions.run(OffsetNormals {
-                given,
-                offsets: &self.picked_offsets(maps, pixels),
-                directions,
-                jacobian: &mut NormalJacobian::default(),
-            });
+        let (directions, isa) = (&mut picked, self.options.instructions);
+        if self.options.free_normals {
+            let (offsets, mut unused) = (self.picked_offsets(maps, pixels), Default::default());
+            vectorized!(isa, given.turn(&offsets, directions, &mut unused));
         } else {
-            self.instructions.run(GivenNormals { given, directions });
+            vectorized!(isa, given.place(directions));
         }
         picked
     }
@@ -415,7 +371,7 @@ impl Problem {
     /// The normal of a pixel, at its tangent offset if normals are free.
     fn normal(&self, maps: &[f64], p: usize) -> DVec3 {
         let [normal, _] = self.given[p / BLOCK].get(p % BLOCK);
-        if !self.free_normals {
+        if !self.options.free_normals {
             return normal;
         }
         tangent_offset::offset_normal(normal, self.offset(maps, p)).normal
@@ -423,7 +379,7 @@ impl Problem {
 
     /// Targets and weights of some pixels, at most [`BLOCK`]: (channel, picture); 0 where no pixel is.
     pub(crate) fn pick_samples(&self, pixels: &[usize], picked: &mut Vec<[Plane<f64>; 2]>) {
-        let samples = self.channels * self.pictures;
+        let samples = self.channels() * self.pictures();
         if pixels.len() < BLOCK {
             picked.clear();
         }
@@ -434,7 +390,7 @@ impl Problem {
             && first.is_multiple_of(BLOCK)
             && pixels.iter().enumerate().all(|(x, &p)| p == first + x);
         for (sample, [target, weight]) in picked.iter_mut().enumerate() {
-            let (channel, picture) = (sample / self.pictures, sample % self.pictures);
+            let (channel, picture) = (sample / self.pictures(), sample % self.pictures());
             if whole {
                 let block = first / BLOCK;
                 self.targets.copy(block, channel, picture, target);
@@ -455,21 +411,17 @@ impl Problem {
 
     /// Gram matrices that lights of a channel have: 1, or one a picture where samples have weights.
     pub(crate) fn grams(&self) -> usize {
-        if self.weights.is_empty() {
+        if self.weights.is_none() {
             1
         } else {
-            self.pictures
+            self.pictures()
         }
     }
 
     /// A plane for each picture, or none where all samples weigh the same.
     pub(crate) fn weights(&self, block: usize, channel: usize) -> &[Plane] {
-        if self.weights.is_empty() {
-            return &[];
-        }
-        let channels = self.weights.len() / (self.blocks() * self.pictures);
-        let first = (block * channels + channel % channels) * self.pictures;
-        &self.weights[first..][..self.pictures]
+        let weights = self.weights.as_ref();
+        weights.map_or(&[], |w| w.planes(block, channel % w.channels))
     }
 }
 

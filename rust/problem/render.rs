@@ -3,8 +3,9 @@
 use glam::DVec3;
 
 use super::chunks_of_planes;
-use crate::block::basis::{Basis, FillBasis};
+use crate::block::basis::{Basis, fill_basis};
 use crate::block::factors::FillFactors;
+use crate::block::normal_jacobian::GivenDirections;
 use crate::block::radiance::Radiance;
 use crate::block::weights::FillWeights;
 use crate::reflectance::model::{Model, with_model};
@@ -14,7 +15,7 @@ use crate::reflectance::planes::{
 use crate::reflectance::reflection::Reflection;
 use crate::reflectance::sh::COEFFICIENTS;
 use crate::runtime::memory::zeros;
-use crate::runtime::simd::Instructions;
+use crate::runtime::simd::{Instructions, vectorized};
 use crate::runtime::{Error, Result, check, pool};
 use crate::transport::table::Transfer;
 
@@ -94,6 +95,7 @@ fn render_chunk<M: Reflection>(
     parts: &mut [&mut [f64]],
 ) {
     let isa = Instructions::best();
+    let mut given = GivenDirections::default();
     let mut directions = Directions::<f64>::default();
     let mut of_block = Materials::<3>::default();
     let mut basis = Basis::<f64>::default();
@@ -106,16 +108,16 @@ fn render_chunk<M: Reflection>(
     for block in (first..end).step_by(BLOCK) {
         let count = BLOCK.min(end - block);
         for x in 0..count {
-            directions.set(x, normals[block + x], views[block + x]);
+            given.set(x, [normals[block + x], views[block + x]]);
             of_block.set(x, &materials[block + x]);
         }
+        vectorized!(isa, given.place(&mut directions));
         match transfer {
             Some(transfer) => transfer.fill_basis::<M, f64>(block..block + count, &mut basis),
-            None => isa.run(FillBasis::<M, f64, COEFFICIENTS> {
-                directions: &directions,
-                basis: &mut basis,
-                model,
-            }),
+            None => {
+                let (directions, basis) = (&directions, &mut basis);
+                vectorized!(isa, fill_basis::<M, f64, COEFFICIENTS>(directions, basis));
+            }
         }
         isa.run(FillFactors::<M, _, _> {
             directions: &directions,

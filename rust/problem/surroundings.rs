@@ -1,18 +1,14 @@
 //! A problem's pixels among surroundings: their basis functions, and what is brought to them.
 
 use super::Problem;
-use crate::block::basis::{Basis, FillBasis, MAX_PROJECTIONS};
+use crate::block::basis::{Basis, MAX_PROJECTIONS, fill_basis};
 use crate::reflectance::planes::{BLOCK, Directions, Doubles, Plane};
 use crate::reflectance::reflection::Reflection;
 use crate::reflectance::sh::Real;
+use crate::runtime::simd::vectorized;
 use crate::transport::table::Transfer;
 
 impl Problem {
-    /// What takes the place of the model's rows, if anything does.
-    pub(crate) fn transfer(&self) -> Option<&Transfer> {
-        self.transfer.as_ref()
-    }
-
     /// Basis functions of some pixels, at most [`BLOCK`], that look in some directions.
     pub(crate) fn fill_basis<M: Reflection, T: Real, const K: usize>(
         &self,
@@ -21,11 +17,8 @@ impl Problem {
         basis: &mut Basis<T>,
     ) {
         let Some(transfer) = &self.transfer else {
-            return self.instructions.run(FillBasis::<M, T, K> {
-                directions,
-                basis,
-                model: M::default(),
-            });
+            let isa = self.options.instructions;
+            return vectorized!(isa, fill_basis::<M, T, K>(directions, basis));
         };
         transfer.fill_basis::<M, T>(pixels, basis);
     }
@@ -41,12 +34,12 @@ impl Problem {
         let Some(transfer) = self.transfer.as_ref().filter(|t| !t.bounced.is_empty()) else {
             return;
         };
-        bounced.resize(self.pictures * (1 + M::ROWS), Plane::default());
+        bounced.resize(self.pictures() * (1 + M::ROWS), Plane::default());
         for (x, p) in pixels.enumerate() {
             for s in 0..=M::ROWS {
                 let of_row = self.bounced_of::<M>(transfer, p, s);
-                for i in 0..self.pictures {
-                    bounced[i * (1 + M::ROWS) + s].0[x] = of_row[i * self.channels + channel];
+                for i in 0..self.pictures() {
+                    bounced[i * (1 + M::ROWS) + s].0[x] = of_row[i * self.channels() + channel];
                 }
             }
         }
@@ -64,12 +57,12 @@ impl Problem {
         if pixels.len() < BLOCK {
             picked.clear();
         }
-        let samples = self.channels * self.pictures;
+        let samples = self.channels() * self.pictures();
         picked.resize(samples, [Doubles::default(); MAX_PROJECTIONS]);
         for (x, &p) in pixels.iter().enumerate() {
             for s in 0..=M::ROWS {
                 for (j, &value) in self.bounced_of::<M>(transfer, p, s).iter().enumerate() {
-                    let sample = j % self.channels * self.pictures + j / self.channels;
+                    let sample = j % self.channels() * self.pictures() + j / self.channels();
                     picked[sample][s].0[x] = value.into();
                 }
             }
@@ -83,6 +76,6 @@ impl Problem {
         p: usize,
         row: usize,
     ) -> &'a [f32] {
-        transfer.bounced_of::<M>(p, row, self.pictures * self.channels)
+        transfer.bounced_of::<M>(p, row, self.pictures() * self.channels())
     }
 }

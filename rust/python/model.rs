@@ -64,7 +64,7 @@ pub(super) fn lobe_functions<'py>(
 #[pyfunction]
 #[pyo3(name = "lobe_table")]
 pub(super) fn lobe_table_file(py: Python<'_>) -> Bound<'_, PyBytes> {
-    PyBytes::new(py, lobe_table::file())
+    PyBytes::new(py, lobe_table::FILE)
 }
 
 /// Pixels whose directions are of unit length.

@@ -254,11 +254,9 @@ impl PyProblem {
             held_normals,
             prior,
         };
-        let fitted = py.detach(|| self.problem.fit_materials(&x, &pixels, &search))?;
-        Ok((
-            out(py, fitted.materials, [q, d]),
-            out(py, fitted.sum_sq_residuals, [q]),
-        ))
+        let [materials, sum_sq_residuals] =
+            py.detach(|| self.problem.fit_materials(&x, &pixels, &search))?;
+        Ok((out(py, materials, [q, d]), out(py, sum_sq_residuals, [q])))
     }
 
     fn best_albedo<'py>(
@@ -268,10 +266,10 @@ impl PyProblem {
         pixels: &Bound<'py, PyAny>,
     ) -> PyResult<(Out<'py, 2>, Out<'py, 1>)> {
         let (x, pixels) = self.at(x, pixels)?;
-        let best = py.detach(|| self.problem.best_albedo(&x, &pixels))?;
+        let [albedo, sum_sq_residuals] = py.detach(|| self.problem.best_albedo(&x, &pixels))?;
         Ok((
-            out(py, best.albedo, [pixels.len(), self.problem.channels()]),
-            out(py, best.sum_sq_residuals, [pixels.len()]),
+            out(py, albedo, [pixels.len(), self.problem.channels()]),
+            out(py, sum_sq_residuals, [pixels.len()]),
         ))
     }
 
@@ -282,12 +280,13 @@ impl PyProblem {
         pixels: &Bound<'py, PyAny>,
     ) -> PyResult<(Out<'py, 3>, Out<'py, 2>, Out<'py, 1>)> {
         let (x, pixels) = self.at(x, pixels)?;
-        let found = py.detach(|| self.problem.normal_equations(&x, &pixels))?;
+        let [matrices, gradient, sum_sq_residuals] =
+            py.detach(|| self.problem.normal_equations(&x, &pixels))?;
         let (p, d) = (pixels.len(), self.problem.unknowns_of_pixel());
         Ok((
-            out(py, found.matrices, [p, d, d]),
-            out(py, found.gradient, [p, d]),
-            out(py, found.sum_sq_residuals, [p]),
+            out(py, matrices, [p, d, d]),
+            out(py, gradient, [p, d]),
+            out(py, sum_sq_residuals, [p]),
         ))
     }
 
@@ -298,14 +297,14 @@ impl PyProblem {
         pixels: &Bound<'py, PyAny>,
     ) -> PyResult<(Out<'py, 4>, Out<'py, 3>, Out<'py, 3>)> {
         let (x, pixels) = self.at(x, pixels)?;
-        let found = py.detach(|| self.problem.derivatives(&x, &pixels))?;
         let problem = &self.problem;
+        let [by_material, by_light, weights] = py.detach(|| problem.derivatives(&x, &pixels))?;
         let (p, n, c) = (pixels.len(), problem.pictures(), problem.channels());
-        let derivatives = if problem.free_normals() { 5 } else { 3 };
+        let derivatives = if problem.options.free_normals { 5 } else { 3 };
         Ok((
-            out(py, found.by_material, [p, n, c, derivatives]),
-            out(py, found.by_light, [p, c, problem.coefficients()]),
-            out(py, found.weights, [p, n, c]),
+            out(py, by_material, [p, n, c, derivatives]),
+            out(py, by_light, [p, c, problem.coefficients()]),
+            out(py, weights, [p, n, c]),
         ))
     }
 
@@ -342,10 +341,7 @@ impl PyProblem {
     ) -> PyResult<(Out<'py, 2>, Out<'py, 1>)> {
         let (x, pixels) = self.at(x, pixels)?;
         let options = self.options(options, pixels.len())?;
-        let found = py.detach(|| {
-            self.problem
-                .schur_complement(&x, &pixels, &options.elimination())
-        })?;
+        let found = py.detach(|| self.problem.schur_complement(&x, &pixels, &options))?;
         let size = found.gradient.len();
         Ok((
             out(py, found.matrix, [size, size]),
@@ -363,10 +359,7 @@ impl PyProblem {
     ) -> PyResult<PyKeptSystem> {
         let (x, pixels) = self.at(x, pixels)?;
         let options = self.options(options, pixels.len())?;
-        let kept = py.detach(|| {
-            self.problem
-                .kept_system(&x, &pixels, &options.elimination())
-        })?;
+        let kept = py.detach(|| self.problem.kept_system(&x, &pixels, &options))?;
         Ok(PyKeptSystem(kept))
     }
 
@@ -382,10 +375,7 @@ impl PyProblem {
         let (x, pixels) = self.at(x, pixels)?;
         let v = values("v", v, [ANY])?;
         let options = self.options(options, pixels.len())?;
-        let materials = py.detach(|| {
-            self.problem
-                .back_substitute(&x, &pixels, &v, &options.elimination())
-        })?;
+        let materials = py.detach(|| self.problem.back_substitute(&x, &pixels, &v, &options))?;
         let shape = [pixels.len(), self.problem.unknowns_of_pixel()];
         Ok(out(py, materials, shape))
     }
@@ -404,32 +394,6 @@ impl PyKeptSystem {
     fn product<'py>(&self, py: Python<'py>, v: &Bound<'py, PyAny>) -> PyResult<Out<'py, 1>> {
         let (v, shape) = given("v", v, [ANY])?;
         Ok(out(py, py.detach(|| self.0.product(&v))?, shape))
-    }
-}
-
-/// How pixels are eliminated: the options of all methods that do, and what is made of them.
-#[derive(Default)]
-struct EliminationOptions {
-    damping: f64,
-    mono: bool,
-    /// Precision and deviation of a Gaussian prior: (pixels, unknowns without albedo).
-    prior: Option<[Vec<f64>; 2]>,
-    /// Of each pixel, and how many there are.
-    cluster: Option<(Vec<usize>, usize)>,
-}
-
-impl EliminationOptions {
-    fn elimination(&self) -> Elimination<'_> {
-        let clusters = self.cluster.as_ref();
-        Elimination {
-            damping: self.damping,
-            mono: self.mono,
-            prior: self.prior.as_ref().map(|[precision, deviation]| PriorTerm {
-                precision,
-                deviation,
-                clusters: clusters.map(|&(ref of_pixels, count)| Clusters { of_pixels, count }),
-            }),
-        }
     }
 }
 
@@ -481,21 +445,16 @@ impl PyProblem {
         }
         copy.try_reserve_exact(size - copy.len())
             .map_err(|_| Error::Memory(name))?;
-        pool::copy(self.problem.threads(), values.values(), copy);
+        pool::copy(self.problem.options.threads, values.values(), copy);
         Ok(copied)
     }
 
-    fn options(
-        &self,
-        given: Option<&Bound<'_, PyDict>>,
-        pixels: usize,
-    ) -> PyResult<EliminationOptions> {
-        let mut options = EliminationOptions::default();
-        let shape = [
-            pixels,
-            self.problem.unknowns_of_pixel() - self.problem.channels(),
-        ];
-        let (mut precision, mut deviation) = (None, None);
+    /// The options of all methods that eliminate pixels.
+    fn options(&self, given: Option<&Bound<'_, PyDict>>, pixels: usize) -> PyResult<Elimination> {
+        let mut options = Elimination::default();
+        let of_prior = self.problem.unknowns_of_pixel() - self.problem.channels();
+        let shape = [pixels, of_prior];
+        let (mut precision, mut deviation, mut clusters) = (None, None, None);
         for (name, value) in given.into_iter().flatten() {
             match name.extract::<&str>()? {
                 "damping" => options.damping = value.extract()?,
@@ -505,7 +464,8 @@ impl PyProblem {
                 "deviation" => deviation = Some(values("deviation", &value, shape)?),
                 "cluster" => {
                     let (of_pixels, count): (Bound<'_, PyAny>, usize) = value.extract()?;
-                    options.cluster = Some((indices("cluster", &of_pixels)?, count));
+                    let of_pixels = indices("cluster", &of_pixels)?;
+                    clusters = Some(Clusters { of_pixels, count });
                 }
                 other => {
                     let message = format!("unexpected keyword argument '{other}'");
@@ -514,8 +474,12 @@ impl PyProblem {
             }
         }
         options.prior = match (precision, deviation) {
-            (None, None) if options.cluster.is_none() => None,
-            (Some(precision), Some(deviation)) => Some([precision, deviation]),
+            (None, None) if clusters.is_none() => None,
+            (Some(precision), Some(deviation)) => Some(PriorTerm {
+                precision,
+                deviation,
+                clusters,
+            }),
             (Some(_), None) => return Err(missing("deviation", "precision")),
             (None, Some(_)) => return Err(missing("precision", "deviation")),
             (None, None) => return Err(missing("precision", "cluster")),

@@ -37,12 +37,9 @@ const KNOTS: [usize; 2] = [CELLS[0] + 3, CELLS[1] + 3];
 /// Bytes that the file begins with: a name, and the numbers above.
 const HEADER: usize = 32;
 
-static FILE: &[u8; HEADER + 4 * IN_FILE * KNOTS[0] * KNOTS[1]] = include_bytes!("lobe_table.bin");
-
 /// The table as `tools/lobe_table.py` wrote it.
-pub fn file() -> &'static [u8] {
-    FILE
-}
+pub static FILE: &[u8; HEADER + 4 * IN_FILE * KNOTS[0] * KNOTS[1]] =
+    include_bytes!("lobe_table.bin");
 
 /// All functions, or a derivative of them; what follows them is nothing.
 #[derive(Clone, Copy, Debug)]

@@ -38,10 +38,10 @@ pub(crate) use with_model;
 /// The same for the model of a problem, which may be one among surroundings.
 macro_rules! with_model_of {
     ($problem:expr, $type:ident => $code:expr) => {
-        if $problem.transfer().is_some() {
-            $crate::reflectance::model::with_model!($problem.model(), true, $type => $code)
+        if $problem.transfer.is_some() {
+            $crate::reflectance::model::with_model!($problem.options.model, true, $type => $code)
         } else {
-            $crate::reflectance::model::with_model!($problem.model(), $type => $code)
+            $crate::reflectance::model::with_model!($problem.options.model, $type => $code)
         }
     };
 }

@@ -165,31 +165,6 @@ impl<const C: usize> Factors<C> {
             g1_slope,
         }
     }
-
-    /// Derivatives of kd_c and of ks_c by n·v, at the cosine and material that these factors are of.
-    ///
-    /// ```text
-    /// dF_c  = −5(1−F0_c)(1−n·v)⁴
-    /// dkd_c = −(1−m)(ρ_c/π) dF_c              dks_c = (dF_c G₁ + F_c dG₁)/4
-    /// ```
-    #[inline(always)]
-    fn slopes(&self, cosine: f64, material: &Material<C>) -> ([f64; C], [f64; C]) {
-        let Material {
-            albedo,
-            roughness,
-            metallic,
-        } = *material;
-        let schlick_slope = ggx::schlick_by_cosine(cosine);
-        let g1_slope = ggx::smith_g1_by_cosine(cosine, roughness);
-        let (mut diffuse, mut specular) = ([0.0; C], [0.0; C]);
-        for c in 0..C {
-            let f0 = DIELECTRIC_F0 * (1.0 - metallic) + metallic * albedo[c];
-            let fresnel_slope = (1.0 - f0) * schlick_slope;
-            diffuse[c] = -(1.0 - metallic) * albedo[c] * FRAC_1_PI * fresnel_slope;
-            specular[c] = 0.25 * (fresnel_slope * self.g1 + self.fresnel[c] * g1_slope);
-        }
-        (diffuse, specular)
-    }
 }
 
 impl<const C: usize> reflection::Factors<C> for Factors<C> {
@@ -246,13 +221,27 @@ impl<const C: usize> reflection::Factors<C> for Factors<C> {
         gradient
     }
 
+    /// ```text
+    /// dF_c  = −5(1−F0_c)(1−n·v)⁴
+    /// dkd_c = −(1−m)(ρ_c/π) dF_c              dks_c = (dF_c G₁ + F_c dG₁)/4
+    /// ```
     #[inline(always)]
     fn slopes_by_cosine(&self, cosine: f64, material: &Material<C>) -> ([f64; C], [ByRow; C]) {
-        let (diffuse, specular) = self.slopes(cosine, material);
-        let mut rows = [[0.0; MAX_ROWS]; C];
+        let Material {
+            albedo,
+            roughness,
+            metallic,
+        } = *material;
+        let schlick_slope = ggx::schlick_by_cosine(cosine);
+        let g1_slope = ggx::smith_g1_by_cosine(cosine, roughness);
+        let (mut diffuse, mut rows) = ([0.0; C], [[0.0; MAX_ROWS]; C]);
         for c in 0..C {
+            let f0 = DIELECTRIC_F0 * (1.0 - metallic) + metallic * albedo[c];
+            let fresnel_slope = (1.0 - f0) * schlick_slope;
+            diffuse[c] = -(1.0 - metallic) * albedo[c] * FRAC_1_PI * fresnel_slope;
+            let specular = 0.25 * (fresnel_slope * self.g1 + self.fresnel[c] * g1_slope);
             for l in 0..BANDS {
-                rows[c][l] = specular[c] * self.bands.weight[l];
+                rows[c][l] = specular * self.bands.weight[l];
             }
         }
         (diffuse, rows)

@@ -113,6 +113,16 @@ impl<const C: usize> Materials<C> {
             metallic: self.metallic.0[pixel],
         }
     }
+
+    /// One pixel in channel c.
+    #[inline(always)]
+    pub fn of_channel(&self, c: usize, pixel: usize) -> Material<1> {
+        Material {
+            albedo: [self.albedo[c].0[pixel]],
+            roughness: self.roughness.0[pixel],
+            metallic: self.metallic.0[pixel],
+        }
+    }
 }
 
 /// The clamped n·v and the mirror direction; the latter is not clamped.
@@ -140,16 +150,6 @@ impl<T: Real> Default for Directions<T> {
 }
 
 impl<T: Real> Directions<T> {
-    /// Puts a pixel into the block.
-    pub fn set(&mut self, pixel: usize, normal: DVec3, view: DVec3) {
-        let (cosine, mirror) = directions(normal, view);
-        self.cosine.0[pixel] = cosine;
-        for axis in 0..3 {
-            self.normal[axis].0[pixel] = T::from_f64(normal[axis]);
-            self.mirror[axis].0[pixel] = T::from_f64(mirror[axis]);
-        }
-    }
-
     /// Puts in all pixels, from planes of the same.
     #[inline(always)]
     pub fn fill(

@@ -84,29 +84,38 @@ pub(crate) fn moderate_from<T: Copy + Into<f64>>(
     })
 }
 
+/// Refuses the first value that is not `good`, with what is `shown` of it.
+fn each<T>(
+    name: &'static str,
+    values: &[T],
+    expected: &str,
+    good: impl Fn(&T) -> bool,
+    shown: impl Fn(&T) -> String,
+) -> Result<()> {
+    let Some(i) = values.iter().position(|value| !good(value)) else {
+        return Ok(());
+    };
+    let found = format!("{} at {i}", shown(&values[i]));
+    Err(Error::argument(name, expected, found))
+}
+
 pub(crate) fn unit_interval<T: Copy + Into<f64>>(name: &'static str, values: &[T]) -> Result<()> {
-    match values
-        .iter()
-        .position(|&v| !(0.0..=1.0).contains(&v.into()))
-    {
-        None => Ok(()),
-        Some(i) => {
-            let found = format!("{} at {i}", values[i].into());
-            Err(Error::argument(name, "numbers in [0, 1]", found))
-        }
-    }
+    let good = |&v: &T| (0.0..=1.0).contains(&v.into());
+    each(name, values, "numbers in [0, 1]", good, |&v| {
+        v.into().to_string()
+    })
 }
 
 /// From 0, and no larger than a limit.
 pub(crate) fn not_negative(name: &'static str, values: &[f64], limit: f64) -> Result<()> {
     moderate(name, values, limit)?;
-    match values.iter().position(|&v| v < 0.0) {
-        None => Ok(()),
-        Some(i) => {
-            let found = format!("{} at {i}", values[i]);
-            Err(Error::argument(name, "numbers from 0", found))
-        }
-    }
+    each(
+        name,
+        values,
+        "numbers from 0",
+        |&v| v >= 0.0,
+        f64::to_string,
+    )
 }
 
 /// Indices of `count` things.
@@ -129,12 +138,7 @@ pub(crate) fn weights(name: &'static str, values: &[f32]) -> Result<f64> {
 
 pub(crate) fn unit_vectors(name: &'static str, vectors: &[DVec3]) -> Result<()> {
     // Written so that NaN fails.
-    let is_unit = |v: &DVec3| (v.length() - 1.0).abs() <= UNIT_TOLERANCE;
-    match vectors.iter().position(|v| !is_unit(v)) {
-        None => Ok(()),
-        Some(i) => {
-            let found = format!("{} of length {} at {i}", vectors[i], vectors[i].length());
-            Err(Error::argument(name, "unit vectors", found))
-        }
-    }
+    let good = |v: &DVec3| (v.length() - 1.0).abs() <= UNIT_TOLERANCE;
+    let shown = |v: &DVec3| format!("{v} of length {}", v.length());
+    each(name, vectors, "unit vectors", good, shown)
 }

@@ -9,6 +9,7 @@ use std::cell::RefCell;
 use std::mem;
 use std::process;
 use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::thread::available_parallelism;
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
@@ -29,11 +30,6 @@ thread_local! {
     static POOL: RefCell<Option<Owned>> = const { RefCell::new(None) };
 }
 
-/// Processors this process may use.
-pub fn available() -> usize {
-    std::thread::available_parallelism().map_or(1, usize::from)
-}
-
 /// `f` of every item, on `threads` threads (0: one for each processor), results in order.
 ///
 /// Which thread takes which item is left to chance, so `f` must not depend on it. Nor may it call
@@ -43,7 +39,11 @@ pub fn map<T: Send, R: Send>(
     items: Vec<T>,
     f: impl Fn(T) -> R + Send + Sync,
 ) -> Vec<R> {
-    let threads = if threads == 0 { available() } else { threads }.min(MAX_THREADS);
+    let threads = match threads {
+        0 => available_parallelism().map_or(1, usize::from),
+        given => given,
+    };
+    let threads = threads.min(MAX_THREADS);
     if threads == 1 || items.len() < 2 {
         return items.into_iter().map(f).collect();
     }

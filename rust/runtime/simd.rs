@@ -3,7 +3,8 @@
 //! A [`Kernel`] is written once, over any [`Isa`]. [`Instructions::run`] calls the copy that was
 //! compiled for the processor it runs on: AVX-512, AVX2 with FMA, NEON, or what every processor of
 //! the family has. Everything a kernel calls in its loops must be `#[inline(always)]`, or it is
-//! compiled for the oldest processor after all.
+//! compiled for the oldest processor after all. Where the compiler makes the vectors, a kernel is a
+//! function of arrays, called by `vectorized!`.
 
 use pulp::{Arch, Scalar128b, Simd, WithSimd};
 
@@ -124,6 +125,11 @@ impl Instructions {
         }
     }
 
+    /// Loops that the compiler turns into vectors of this instruction set; see `vectorized!`.
+    pub(crate) fn run_loops<R>(self, loops: impl FnOnce() -> R) -> R {
+        self.run(Loops(loops))
+    }
+
     /// Runs the copy of a kernel for this instruction set.
     pub fn run<K: Kernel>(self, kernel: K) -> K::Output {
         match self.0 {
@@ -131,6 +137,29 @@ impl Instructions {
             Arch::Scalar => kernel.run(Lanes::<_, false>(Scalar128b)),
             arch => arch.dispatch(Adapter(kernel)),
         }
+    }
+}
+
+/// `vectorized!(isa, f(…))`: a call whose loops the compiler turns into vectors. The function has to be
+/// `#[inline(always)]`.
+macro_rules! vectorized {
+    ($isa:expr, $call:expr) => {
+        $isa.run_loops(
+            #[inline(always)]
+            || $call,
+        )
+    };
+}
+pub(crate) use vectorized;
+
+struct Loops<F>(F);
+
+impl<R, F: FnOnce() -> R> Kernel for Loops<F> {
+    type Output = R;
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _: I) -> R {
+        (self.0)()
     }
 }
 

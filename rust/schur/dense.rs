@@ -5,12 +5,13 @@ use ndarray::{ArrayView2, ArrayViewMut2};
 
 use super::SchurComplement;
 use super::eliminated_block::EliminatedBlock;
-use super::kernels::FillDenseRows;
+use super::kernels::fill_dense_rows;
 use super::light_system::LightSystem;
 use crate::problem::add;
 use crate::reflectance::planes::BLOCK;
 use crate::reflectance::reflection::Reflection;
 use crate::runtime::memory::zeros;
+use crate::runtime::simd::vectorized;
 use crate::runtime::{Result, pool};
 
 /// Blocks whose rows are held at once while S is built.
@@ -28,11 +29,15 @@ impl<M: Reflection, const C: usize, const D: usize, const U: usize> LightSystem<
         };
         for first in (0..self.blocks()).step_by(BLOCKS_AT_ONCE) {
             let last = self.blocks().min(first + BLOCKS_AT_ONCE);
-            let dense_rows = pool::map(self.problem.threads(), (first..last).collect(), |block| {
-                let mut eliminated = EliminatedBlock::new(self.problem);
-                self.eliminate(block, &mut eliminated);
-                DenseRows::of(self, &mut eliminated)
-            });
+            let dense_rows = pool::map(
+                self.problem.options.threads,
+                (first..last).collect(),
+                |block| {
+                    let mut eliminated = EliminatedBlock::new(self.problem);
+                    self.eliminate(block, &mut eliminated);
+                    DenseRows::of(self, &mut eliminated)
+                },
+            );
             for dense_rows in &dense_rows {
                 add(&mut found.gradient, &dense_rows.gradient);
                 self.add_grams(&dense_rows.grams, &mut found.matrix);
@@ -40,7 +45,7 @@ impl<M: Reflection, const C: usize, const D: usize, const U: usize> LightSystem<
                     found.matrix[(self.unknown.of_lights() + i) * (size + 1)] += a;
                 }
             }
-            let tiles = pool::map(self.problem.threads(), self.tiles(), |tile| {
+            let tiles = pool::map(self.problem.options.threads, self.tiles(), |tile| {
                 let mut values = vec![0.0; tile.rows.1 * tile.columns.1];
                 for dense_rows in &dense_rows {
                     dense_rows.subtract(self, &tile, &mut values);
@@ -135,6 +140,7 @@ impl DenseRows {
         eliminated: &mut EliminatedBlock<M, C, D, U>,
     ) -> Self {
         let unknowns = D - 1;
+        let (isa, pixels) = (lights.problem.options.instructions, &eliminated.pixels);
         let (n, k) = (lights.unknown.pictures, lights.unknown.coefficients);
         let (size, of_channel) = (lights.unknown.size(), lights.unknown.of_channel());
         let mut shared = vec![0.0; size * unknowns * BLOCK];
@@ -143,12 +149,9 @@ impl DenseRows {
             let (c, i) = (sample / n, sample % n);
             let first = (c % lights.unknown.channels * of_channel + i * k) * unknowns * BLOCK;
             let shared = &mut shared[first..][..k * unknowns * BLOCK];
-            eliminated.isa().run(FillDenseRows {
-                weights: &eliminated.pixels.weights[c][..k],
-                rows: &eliminated.pixels.rows[sample],
-                albedo: albedo.as_chunks_mut().0,
-                shared: shared.as_chunks_mut().0,
-            });
+            let (weights, rows) = (&pixels.weights[c][..k], &pixels.rows[sample]);
+            let (albedo, shared) = (albedo.as_chunks_mut().0, shared.as_chunks_mut().0);
+            vectorized!(isa, fill_dense_rows(weights, rows, albedo, shared));
         }
         let mut diagonal = vec![0.0; lights.unknown.offsets];
         if let Some(tied) = &eliminated.tied {

@@ -1,8 +1,8 @@
 //! A block of pixels whose unknowns are eliminated.
 
-use super::PriorTerm;
-use super::kernels::{Collect, Eliminated, FillRows, Project, Whiten};
+use super::kernels::{Collect, Eliminated, FillRows, Project, whiten};
 use super::tied::{SharedSums, Tied};
+use super::{Elimination, PriorTerm};
 use crate::pixel::offset_step::limit_offset_step;
 use crate::pixel::samples::{Block, DERIVATIVES, Sums, free_unknowns, unknowns_of_channel};
 use crate::problem::Problem;
@@ -10,12 +10,13 @@ use crate::reflectance::planes::{BLOCK, Doubles};
 use crate::reflectance::reflection::Reflection;
 use crate::reflectance::sh::COEFFICIENTS;
 use crate::reflectance::tangent_offset::OFFSETS;
-use crate::runtime::simd::Instructions;
+use crate::runtime::simd::{Instructions, vectorized};
 
 /// A block of pixels that are solved for. Samples are (channel, picture).
 pub(super) struct EliminatedBlock<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
 {
     problem: &'a Problem,
+    isa: Instructions,
     block: Block<'a, M, C, D>,
     pub(super) pixels: Eliminated<f64, D>,
     /// The unknowns that there are.
@@ -37,6 +38,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
     pub(super) fn new(problem: &'a Problem) -> Self {
         Self {
             problem,
+            isa: problem.options.instructions,
             block: Block::new(problem),
             pixels: Eliminated::default(),
             unknowns: free_unknowns::<C, D>(problem),
@@ -48,28 +50,30 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
         }
     }
 
+    /// Takes up some pixels, the first of which is number `first` of the call, and works out U.
     pub(super) fn take(
         &mut self,
         maps: &[f64],
         lights: &[[f64; COEFFICIENTS]],
+        first: usize,
         pixels: &[usize],
-        prior: Option<PriorTerm>,
-        damping: f64,
+        elimination: &Elimination,
     ) {
-        let (isa, n) = (self.problem.instructions(), self.problem.pictures());
+        let (isa, n) = (self.isa, self.problem.pictures());
         self.block.load(maps, pixels);
         self.sums = Sums::default();
         self.block.add_samples(lights, true, &mut self.sums);
+        let shared = self.unknowns.len() - C;
+        let prior = elimination.prior.as_ref();
         if let Some(prior) = prior {
-            let shared = self.unknowns.len() - C;
-            for (i, (a, deviation)) in prior.precision.iter().zip(prior.deviation).enumerate() {
-                let (x, unknown) = (i / shared, self.unknowns[C + i % shared]);
+            for (x, f, a, deviation) in prior.of_block(first, pixels.len(), shared) {
+                let unknown = self.unknowns[C + f];
                 self.sums.matrix[unknown][unknown].0[x] += a;
                 self.sums.gradient[unknown].0[x] += a * deviation;
             }
         }
-        self.whiten(damping);
-        self.tied = prior.and_then(|prior| self.ties(prior));
+        self.whiten(elimination.damping);
+        self.tied = prior.and_then(|prior| self.ties(prior, first, pixels.len()));
         let Eliminated {
             weights,
             rows,
@@ -96,19 +100,18 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
         }
     }
 
-    fn ties(&self, prior: PriorTerm) -> Option<Tied<U>> {
-        let clusters = prior.clusters?.of_pixels.to_vec();
+    fn ties(&self, prior: &PriorTerm, first: usize, pixels: usize) -> Option<Tied<U>> {
+        let clusters = &prior.clusters.as_ref()?.of_pixels[first..][..pixels];
         let unknowns = self.unknowns[C..].to_vec();
         let count = unknowns.len();
         let mut tied = Tied {
             precision: vec![Doubles::default(); count],
             pull: vec![Doubles::default(); count],
             columns: vec![[Doubles::default(); U]; count],
-            clusters,
+            clusters: clusters.to_vec(),
             unknowns,
         };
-        for (i, (&a, deviation)) in prior.precision.iter().zip(prior.deviation).enumerate() {
-            let (x, f) = (i / count, i % count);
+        for (x, f, a, deviation) in prior.of_block(first, pixels, count) {
             tied.precision[f].0[x] = a;
             tied.pull[f].0[x] = a * deviation;
             for row in tied.unknowns[f]..U {
@@ -116,10 +119,6 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
             }
         }
         Some(tied)
-    }
-
-    pub(super) fn isa(&self) -> Instructions {
-        self.problem.instructions()
     }
 
     /// θ of one kind.
@@ -148,13 +147,11 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
                 scale[unknown].0[x] = if used { 1.0 / d.sqrt() } else { 0.0 };
             }
         }
-        self.isa().run(Whiten {
-            sums: &self.sums,
-            scale: &scale,
-            damping,
-            whiten: &mut self.whiten,
-            whitened: &mut self.whitened,
-        });
+        let (sums, to) = (&self.sums, &mut self.whiten);
+        vectorized!(
+            self.isa,
+            whiten(sums, &scale, damping, to, &mut self.whitened)
+        );
     }
 
     /// Adds Wᵀ (Ω (I − T) − Rᵀ U g), and what belongs to offsets. The residuals are used up.
@@ -162,21 +159,11 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
         if let Some(tied) = &self.tied {
             tied.add_gradient(&self.whitened, &mut sums.offsets);
         }
-        self.isa().run(Collect {
+        self.isa.run(Collect {
             pixels: &self.pixels,
             values: &mut self.residuals,
             whitened: &self.whitened,
             sums: &mut sums.lights,
-        });
-    }
-
-    /// Adds R W v to `sums`, and leaves W v in the residuals' place.
-    fn project(&mut self, light_step: &[[f64; COEFFICIENTS]], sums: &mut [Doubles; U]) {
-        self.isa().run(Project {
-            pixels: &self.pixels,
-            lights: light_step,
-            radiance: &mut self.residuals,
-            sums,
         });
     }
 
@@ -188,7 +175,12 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
         out: &mut [f64],
     ) {
         let mut whitened = self.whitened;
-        self.project(light_step, &mut whitened);
+        self.isa.run(Project {
+            pixels: &self.pixels,
+            lights: light_step,
+            radiance: &mut self.residuals,
+            sums: &mut whitened,
+        });
         if let Some(tied) = &self.tied {
             tied.subtract(offset_step, &mut whitened);
         }

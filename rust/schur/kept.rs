@@ -3,7 +3,7 @@
 use super::kernels::{Collect, Eliminated, Project};
 use super::light_system::UnknownLights;
 use super::tied::{SharedSums, Tied};
-use crate::reflectance::planes::{Doubles, Plane};
+use crate::reflectance::planes::Plane;
 use crate::reflectance::sh::COEFFICIENTS;
 use crate::runtime::simd::Instructions;
 use crate::runtime::{Result, pool};
@@ -38,10 +38,9 @@ impl KeptSystem {
         let parts = pool::map(self.threads, self.pieces.iter().collect(), |pixels| {
             let mut sums = self.unknown.sums();
             pixels.add(self.isa, &light_step, offset_step, &mut sums);
-            [self.unknown.collected(&sums)]
+            self.unknown.collected(&sums)
         });
-        let [product] = self.unknown.total(parts.iter())?;
-        Ok(product)
+        self.unknown.total(parts.iter())
     }
 }
 
@@ -57,50 +56,35 @@ pub(super) trait Products: std::fmt::Debug + Send + Sync {
     );
 }
 
-/// D derivatives of a sample and U unknowns of a pixel.
-macro_rules! products {
-    ($d:expr, $u:expr) => {
-        impl Products for Vec<(Eliminated<f32, { $d }>, Option<Tied<{ $u }>>)> {
-            fn add(
-                &self,
-                isa: Instructions,
-                light_step: &[[f32; COEFFICIENTS]],
-                offset_step: &[f64],
-                sums: &mut SharedSums,
-            ) {
-                let mut values = vec![Plane::default(); light_step.len()];
-                for (pixels, tied) in self {
-                    let mut whitened = [Plane::default(); $u];
-                    isa.run(Project {
-                        pixels,
-                        lights: light_step,
-                        radiance: &mut values,
-                        sums: &mut whitened,
-                    });
-                    if let Some(tied) = tied {
-                        let mut exact: [Doubles; $u] =
-                            whitened.map(|plane| Plane(plane.0.map(f64::from)));
-                        tied.subtract(offset_step, &mut exact);
-                        tied.add_product(offset_step, &exact, &mut sums.offsets);
-                        whitened = exact.map(|plane| Plane(plane.0.map(|value| value as f32)));
-                    }
-                    isa.run(Collect {
-                        pixels,
-                        values: &mut values,
-                        whitened: &whitened,
-                        sums: &mut sums.lights,
-                    });
-                }
+impl<const D: usize, const U: usize> Products for Vec<(Eliminated<f32, D>, Option<Tied<U>>)> {
+    fn add(
+        &self,
+        isa: Instructions,
+        light_step: &[[f32; COEFFICIENTS]],
+        offset_step: &[f64],
+        sums: &mut SharedSums,
+    ) {
+        let mut values = vec![Plane::default(); light_step.len()];
+        for (pixels, tied) in self {
+            let mut whitened = [Plane::default(); U];
+            isa.run(Project {
+                pixels,
+                lights: light_step,
+                radiance: &mut values,
+                sums: &mut whitened,
+            });
+            if let Some(tied) = tied {
+                let mut exact = whitened.map(|plane| Plane(plane.0.map(f64::from)));
+                tied.subtract(offset_step, &mut exact);
+                tied.add_product(offset_step, &exact, &mut sums.offsets);
+                whitened = exact.map(|plane| Plane(plane.0.map(|value| value as f32)));
             }
+            isa.run(Collect {
+                pixels,
+                values: &mut values,
+                whitened: &whitened,
+                sums: &mut sums.lights,
+            });
         }
-    };
+    }
 }
-
-products!(
-    crate::pixel::samples::DERIVATIVES,
-    crate::pixel::samples::UNKNOWNS
-);
-products!(
-    crate::pixel::samples::FREE_DERIVATIVES,
-    crate::pixel::samples::FREE_UNKNOWNS
-);

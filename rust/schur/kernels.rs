@@ -19,82 +19,69 @@ const LANES: usize = 8;
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Lanes(pub(super) [[f64; LANES]; COEFFICIENTS]);
 
-/// Inverts the scaled and damped matrices' Cholesky factors: U = L⁻¹ D with L Lᵀ = D A D + damping.
-pub(super) struct Whiten<'a, const U: usize> {
-    pub(super) sums: &'a Sums<U>,
-    /// D, the root of the inverse diagonal; 0 for what is held.
-    pub(super) scale: &'a [Doubles; U],
-    pub(super) damping: f64,
-    pub(super) whiten: &'a mut [[Doubles; U]; U],
-    pub(super) whitened: &'a mut [Doubles; U],
-}
-
-impl<const U: usize> Kernel for Whiten<'_, U> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
-        let Self {
-            sums,
-            scale,
-            damping,
-            whiten,
-            whitened,
-        } = self;
-        // L, with the inverse of its diagonal on the diagonal.
-        let mut lower = [[Doubles::default(); U]; U];
-        for i in 0..U {
-            for j in 0..=i {
-                let mut entry = Doubles::default();
+/// Inverts the scaled and damped matrices' Cholesky factors: U = L⁻¹ D with L Lᵀ = D A D + damping; and
+/// works out U g. D is the root of the inverse diagonal, 0 for what is held.
+#[inline(always)]
+pub(super) fn whiten<const U: usize>(
+    sums: &Sums<U>,
+    scale: &[Doubles; U],
+    damping: f64,
+    whiten: &mut [[Doubles; U]; U],
+    whitened: &mut [Doubles; U],
+) {
+    // L, with the inverse of its diagonal on the diagonal.
+    let mut lower = [[Doubles::default(); U]; U];
+    for i in 0..U {
+        for j in 0..=i {
+            let mut entry = Doubles::default();
+            for x in 0..BLOCK {
+                entry.0[x] = if i == j {
+                    1.0 + RIDGE + damping
+                } else {
+                    sums.matrix[i][j].0[x] * scale[i].0[x] * scale[j].0[x]
+                };
+            }
+            for k in 0..j {
                 for x in 0..BLOCK {
-                    entry.0[x] = if i == j {
-                        1.0 + RIDGE + damping
-                    } else {
-                        sums.matrix[i][j].0[x] * scale[i].0[x] * scale[j].0[x]
-                    };
-                }
-                for k in 0..j {
-                    for x in 0..BLOCK {
-                        entry.0[x] -= lower[i][k].0[x] * lower[j][k].0[x];
-                    }
-                }
-                for x in 0..BLOCK {
-                    lower[i][j].0[x] = if i == j {
-                        // Rounding may leave less than nothing of a pivot.
-                        1.0 / entry.0[x].max(RIDGE).sqrt()
-                    } else {
-                        entry.0[x] * lower[j][j].0[x]
-                    };
+                    entry.0[x] -= lower[i][k].0[x] * lower[j][k].0[x];
                 }
             }
-        }
-        // Forward substitution of the unit vectors, column by column.
-        for column in 0..U {
-            for row in 0..U {
-                let mut entry = Doubles::default();
-                if row == column {
-                    entry = scale[column];
-                }
-                for k in column..row {
-                    for x in 0..BLOCK {
-                        entry.0[x] -= lower[row][k].0[x] * whiten[k][column].0[x];
-                    }
-                }
-                for x in 0..BLOCK {
-                    whiten[row][column].0[x] = if row < column {
-                        0.0
-                    } else {
-                        entry.0[x] * lower[row][row].0[x]
-                    };
-                }
+            for x in 0..BLOCK {
+                lower[i][j].0[x] = if i == j {
+                    // Rounding may leave less than nothing of a pivot.
+                    1.0 / entry.0[x].max(RIDGE).sqrt()
+                } else {
+                    entry.0[x] * lower[j][j].0[x]
+                };
             }
         }
+    }
+    // Forward substitution of the unit vectors, column by column.
+    for column in 0..U {
         for row in 0..U {
-            whitened[row] = Doubles::default();
-            for column in 0..=row {
+            let mut entry = Doubles::default();
+            if row == column {
+                entry = scale[column];
+            }
+            for k in column..row {
                 for x in 0..BLOCK {
-                    whitened[row].0[x] += whiten[row][column].0[x] * sums.gradient[column].0[x];
+                    entry.0[x] -= lower[row][k].0[x] * whiten[k][column].0[x];
                 }
+            }
+            for x in 0..BLOCK {
+                whiten[row][column].0[x] = if row < column {
+                    0.0
+                } else {
+                    entry.0[x] * lower[row][row].0[x]
+                };
+            }
+        }
+    }
+    for row in 0..U {
+        whitened[row] = Doubles::default();
+        for column in 0..=row {
+            for x in 0..BLOCK {
+                whitened[row].0[x] += whiten[row][column].0[x] * sums.gradient[column].0[x];
             }
         }
     }
@@ -138,28 +125,22 @@ impl<const D: usize, const U: usize> FillRows<'_, D, U> {
     }
 }
 
-/// R W of one sample: its columns of the rows of a block.
-pub(super) struct FillDenseRows<'a, const D: usize> {
-    pub(super) weights: &'a [Doubles],
-    pub(super) rows: &'a [Doubles; D],
-    pub(super) albedo: &'a mut [[f64; BLOCK]],
-    /// Added to: lights that all channels have collect from all.
-    pub(super) shared: &'a mut [[f64; BLOCK]],
-}
-
-impl<const D: usize> Kernel for FillDenseRows<'_, D> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
-        for (k, weights) in self.weights.iter().enumerate() {
+/// R W of one sample: its columns of the rows of a block, (coefficient, pixel) of the albedo. What is
+/// shared, (coefficient, unknown, pixel), is added to: lights that all channels have collect from all.
+#[inline(always)]
+pub(super) fn fill_dense_rows<const D: usize>(
+    weights: &[Doubles],
+    rows: &[Doubles; D],
+    albedo: &mut [[f64; BLOCK]],
+    shared: &mut [[f64; BLOCK]],
+) {
+    for (k, weights) in weights.iter().enumerate() {
+        for x in 0..BLOCK {
+            albedo[k][x] = rows[0].0[x] * weights.0[x];
+        }
+        for (unknown, rows) in rows[1..].iter().enumerate() {
             for x in 0..BLOCK {
-                self.albedo[k][x] = self.rows[0].0[x] * weights.0[x];
-            }
-            for (unknown, rows) in self.rows[1..].iter().enumerate() {
-                for x in 0..BLOCK {
-                    self.shared[(D - 1) * k + unknown][x] += rows.0[x] * weights.0[x];
-                }
+                shared[(D - 1) * k + unknown][x] += rows.0[x] * weights.0[x];
             }
         }
     }

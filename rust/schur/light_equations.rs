@@ -35,7 +35,7 @@ impl Problem {
         let mut total: Option<Vec<LightEquations>> = None;
         // A few pieces at a time: with weights each holds a matrix for every picture.
         for pieces in pieces.chunks(PIECES_AT_ONCE) {
-            let partials = pool::map(self.threads(), pieces.to_vec(), |blocks| {
+            let partials = pool::map(self.options.threads, pieces.to_vec(), |blocks| {
                 by_kind!(self, false, M, C, D, U => {
                     equations_of::<M, C, D, U>(self, maps, blocks)
                 })

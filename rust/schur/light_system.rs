@@ -2,11 +2,12 @@
 
 use std::marker::PhantomData;
 
+use super::Elimination;
 use super::eliminated_block::EliminatedBlock;
-use super::kept::{KeptSystem, Products};
-use super::kernels::{Eliminated, Lanes};
-use super::tied::{SharedSums, Tied};
-use super::{Clusters, Elimination, PriorTerm};
+use super::kept::KeptSystem;
+use super::kernels::Lanes;
+use super::tied::SharedSums;
+use crate::problem::by_pixel::fill_by_pixel;
 use crate::problem::{Problem, add};
 use crate::reflectance::planes::BLOCK;
 use crate::reflectance::reflection::Reflection;
@@ -86,20 +87,12 @@ impl UnknownLights {
     }
 
     /// All pieces' sums, in order.
-    pub(super) fn total<'a, const S: usize>(
-        &self,
-        parts: impl Iterator<Item = &'a [Vec<f64>; S]>,
-    ) -> Result<[Vec<f64>; S]> {
-        let mut totals = [const { Vec::new() }; S];
-        for total in &mut totals {
-            *total = zeros("normal equations", self.size())?;
-        }
+    pub(super) fn total<'a>(&self, parts: impl Iterator<Item = &'a Vec<f64>>) -> Result<Vec<f64>> {
+        let mut total = zeros("normal equations", self.size())?;
         for part in parts {
-            for (total, part) in totals.iter_mut().zip(part) {
-                add(total, part);
-            }
+            add(&mut total, part);
         }
-        Ok(totals)
+        Ok(total)
     }
 }
 
@@ -110,7 +103,7 @@ pub(super) struct LightSystem<'a, M: Reflection, const C: usize, const D: usize,
     /// (channel, picture)
     lights: Vec<[f64; COEFFICIENTS]>,
     pixels: &'a [usize],
-    elimination: &'a Elimination<'a>,
+    elimination: &'a Elimination,
     pub(super) unknown: UnknownLights,
     model: PhantomData<M>,
 }
@@ -122,26 +115,27 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
         problem: &'a Problem,
         x: &'a [f64],
         pixels: &'a [usize],
-        elimination: &'a Elimination<'a>,
+        elimination: &'a Elimination,
     ) -> Result<Self> {
         let (maps, lights) = problem.at(x, pixels)?;
         let damping = elimination.damping;
         if !(0.0..f64::INFINITY).contains(&damping) {
             return Err(Error::argument("damping", "a share, 0 or more", damping));
         }
-        if let Some(prior) = elimination.prior {
-            let expected = pixels.len() * (problem.unknowns_of_pixel() - C);
+        let of_prior = problem.unknowns_of_pixel() - C;
+        if let Some(prior) = &elimination.prior {
+            let expected = pixels.len() * of_prior;
             check::length("precision", expected, prior.precision.len())?;
             check::length("deviation", expected, prior.deviation.len())?;
-            check::not_negative("precision", prior.precision, check::LARGEST_F64)?;
-            check::moderate("deviation", prior.deviation, check::LARGEST_F64)?;
-            if let Some(clusters) = prior.clusters {
+            check::not_negative("precision", &prior.precision, check::LARGEST_F64)?;
+            check::moderate("deviation", &prior.deviation, check::LARGEST_F64)?;
+            if let Some(clusters) = &prior.clusters {
                 check::length("cluster", pixels.len(), clusters.of_pixels.len())?;
-                check::indices("cluster", clusters.count, clusters.of_pixels)?;
+                check::indices("cluster", clusters.count, &clusters.of_pixels)?;
             }
         }
-        let of_prior = problem.unknowns_of_pixel() - C;
-        let clusters = elimination.prior.and_then(|prior| prior.clusters);
+        let prior = elimination.prior.as_ref();
+        let clusters = prior.and_then(|prior| prior.clusters.as_ref());
         Ok(Self {
             problem,
             maps,
@@ -163,23 +157,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
     pub(super) fn eliminate(&self, block: usize, eliminated: &mut EliminatedBlock<'a, M, C, D, U>) {
         let first = block * BLOCK;
         let pixels = &self.pixels[first..self.pixels.len().min(first + BLOCK)];
-        let shared = self.problem.unknowns_of_pixel() - C;
-        let range = first * shared..(first + pixels.len()) * shared;
-        let prior = self.elimination.prior.map(|prior| PriorTerm {
-            precision: &prior.precision[range.clone()],
-            deviation: &prior.deviation[range.clone()],
-            clusters: prior.clusters.map(|clusters| Clusters {
-                of_pixels: &clusters.of_pixels[first..][..pixels.len()],
-                ..clusters
-            }),
-        });
-        eliminated.take(
-            self.maps,
-            &self.lights,
-            pixels,
-            prior,
-            self.elimination.damping,
-        );
+        eliminated.take(self.maps, &self.lights, first, pixels, self.elimination);
     }
 
     pub(super) fn blocks(&self) -> usize {
@@ -187,62 +165,45 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
     }
 
     /// The gradient, and what products need.
-    pub(super) fn keep(&self) -> Result<KeptSystem>
-    where
-        Vec<(Eliminated<f32, D>, Option<Tied<U>>)>: Products,
-    {
-        let parts = self.pieces(|kept: &mut Vec<_>, eliminated, [gradient]| {
-            kept.push((eliminated.pixels.rounded(), eliminated.tied.clone()));
-            eliminated.add_gradient(gradient);
+    pub(super) fn keep(&self) -> Result<KeptSystem> {
+        let first = (0..self.blocks()).step_by(CHUNK).collect();
+        let parts = pool::map(self.problem.options.threads, first, |first: usize| {
+            let mut eliminated = EliminatedBlock::new(self.problem);
+            let mut gradient = self.unknown.sums();
+            let mut kept = Vec::new();
+            for block in first..self.blocks().min(first + CHUNK) {
+                self.eliminate(block, &mut eliminated);
+                kept.push((eliminated.pixels.rounded(), eliminated.tied.clone()));
+                eliminated.add_gradient(&mut gradient);
+            }
+            (kept, self.unknown.collected(&gradient))
         });
-        let [gradient] = self.unknown.total(parts.iter().map(|(_, sums)| sums))?;
+        let gradient = self
+            .unknown
+            .total(parts.iter().map(|(_, gradient)| gradient))?;
         let pieces = parts.into_iter();
         Ok(KeptSystem {
             unknown: self.unknown,
-            threads: self.problem.threads(),
-            isa: self.problem.instructions(),
+            threads: self.problem.options.threads,
+            isa: self.problem.options.instructions,
             gradient,
             pieces: pieces.map(|(kept, _)| Box::new(kept) as _).collect(),
         })
     }
 
-    /// Eliminates all blocks. From every piece of work come its own T, and sums by sample.
-    fn pieces<T: Default + Send, const S: usize>(
-        &self,
-        add: impl Fn(&mut T, &mut EliminatedBlock<'a, M, C, D, U>, &mut [SharedSums; S]) + Send + Sync,
-    ) -> Vec<(T, [Vec<f64>; S])> {
-        let pieces = (0..self.blocks()).step_by(CHUNK).collect();
-        pool::map(self.problem.threads(), pieces, |first: usize| {
-            let mut eliminated = EliminatedBlock::new(self.problem);
-            let mut sums: [SharedSums; S] = std::array::from_fn(|_| self.unknown.sums());
-            let mut own = T::default();
-            for block in first..self.blocks().min(first + CHUNK) {
-                self.eliminate(block, &mut eliminated);
-                add(&mut own, &mut eliminated, &mut sums);
-            }
-            (own, sums.map(|sums| self.unknown.collected(&sums)))
-        })
-    }
-
     pub(super) fn back_substitute(&self, v: &[f64]) -> Result<Vec<f64>> {
         let (light_step, offset_step) = self.unknown.padded(v)?;
-        let unknowns = self.problem.unknowns_of_pixel();
-        let mut materials = zeros("normal equations", self.pixels.len() * unknowns)?;
-        let pieces = materials
-            .chunks_mut(CHUNK * BLOCK * unknowns)
-            .enumerate()
-            .collect();
-        pool::map(
-            self.problem.threads(),
-            pieces,
-            |(piece, out): (usize, &mut [f64])| {
-                let mut eliminated = EliminatedBlock::new(self.problem);
-                for (i, out) in out.chunks_mut(BLOCK * unknowns).enumerate() {
-                    self.eliminate(piece * CHUNK + i, &mut eliminated);
-                    eliminated.back_substitute(&light_step, offset_step, out);
-                }
+        let [materials] = fill_by_pixel(
+            ("normal equations", self.problem.options.threads),
+            self.pixels,
+            CHUNK,
+            [self.problem.unknowns_of_pixel()],
+            || EliminatedBlock::new(self.problem),
+            |eliminated, first, _, [out]| {
+                self.eliminate(first / BLOCK, eliminated);
+                eliminated.back_substitute(&light_step, offset_step, out);
             },
-        );
+        )?;
         Ok(materials)
     }
 }

@@ -12,32 +12,49 @@ mod schur_complement;
 mod tied;
 
 /// How the pixels are solved for.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Elimination<'a> {
+#[derive(Clone, Debug, Default)]
+pub struct Elimination {
     /// Added to each A, as a share of its diagonal.
     pub damping: f64,
     /// Whether all channels have the same light.
     pub mono: bool,
     /// The prior of roughness, metallic unless it is known, and free tangent offsets.
-    pub prior: Option<PriorTerm<'a>>,
+    pub prior: Option<PriorTerm>,
 }
 
 /// A Gaussian prior where the unknowns stand: Σ a (v − c − o)² beside the squared residuals.
-#[derive(Clone, Copy, Debug)]
-pub struct PriorTerm<'a> {
+#[derive(Clone, Debug)]
+pub struct PriorTerm {
     /// a: (pixel, F), for the F unknowns that are not albedo.
-    pub precision: &'a [f64],
+    pub precision: Vec<f64>,
     /// v − c − o: (pixel, F)
-    pub deviation: &'a [f64],
+    pub deviation: Vec<f64>,
     /// Offsets o that the pixels of a cluster share, unknowns beside the lights.
-    pub clusters: Option<Clusters<'a>>,
+    pub clusters: Option<Clusters>,
+}
+
+impl PriorTerm {
+    /// Pixel, number f of the unknown, a and v − c − o, of `count` pixels from number `first` on.
+    fn of_block(
+        &self,
+        first: usize,
+        count: usize,
+        unknowns: usize,
+    ) -> impl Iterator<Item = (usize, usize, f64, f64)> {
+        let range = first * unknowns..(first + count) * unknowns;
+        let both = self.precision[range.clone()]
+            .iter()
+            .zip(&self.deviation[range]);
+        both.enumerate()
+            .map(move |(i, (&a, &deviation))| (i / unknowns, i % unknowns, a, deviation))
+    }
 }
 
 /// Which pixels share an offset of their prior's mean.
-#[derive(Clone, Copy, Debug)]
-pub struct Clusters<'a> {
+#[derive(Clone, Debug)]
+pub struct Clusters {
     /// (pixel): from 0, below `count`.
-    pub of_pixels: &'a [usize],
+    pub of_pixels: Vec<usize>,
     /// How many clusters there are.
     pub count: usize,
 }

@@ -46,7 +46,7 @@ impl Problem {
         pixels: &[usize],
         elimination: &Elimination,
     ) -> Result<SchurComplement> {
-        by_kind!(self, self.free_normals(), M, C, D, U => {
+        by_kind!(self, self.options.free_normals, M, C, D, U => {
             LightSystem::<M, C, D, U>::new(self, x, pixels, elimination)?.schur_complement()
         })
     }
@@ -58,7 +58,7 @@ impl Problem {
         pixels: &[usize],
         elimination: &Elimination,
     ) -> Result<KeptSystem> {
-        by_kind!(self, self.free_normals(), M, C, D, U => {
+        by_kind!(self, self.options.free_normals, M, C, D, U => {
             LightSystem::<M, C, D, U>::new(self, x, pixels, elimination)?.keep()
         })
     }
@@ -72,7 +72,7 @@ impl Problem {
         v: &[f64],
         elimination: &Elimination,
     ) -> Result<Vec<f64>> {
-        by_kind!(self, self.free_normals(), M, C, D, U => {
+        by_kind!(self, self.options.free_normals, M, C, D, U => {
             LightSystem::<M, C, D, U>::new(self, x, pixels, elimination)?.back_substitute(v)
         })
     }

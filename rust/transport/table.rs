@@ -13,7 +13,7 @@ use crate::reflectance::sh::{self, COEFFICIENTS, Real};
 use crate::reflectance::shade::Frame;
 use crate::runtime::check::LARGEST_F32;
 use crate::runtime::memory::zeros;
-use crate::runtime::simd::{Instructions, Isa, Kernel};
+use crate::runtime::simd::{Instructions, vectorized};
 use crate::runtime::{Error, Result, check, pool};
 
 /// Pixels in a piece of work.
@@ -184,67 +184,49 @@ pub fn transfer(
             .collect();
         pool::map(threads, pieces, |(piece, (to, bounced)): (usize, (&mut [f32], &mut &mut [f32]))| {
             for (i, to) in to.chunks_mut(rows * COEFFICIENTS).enumerate() {
-                let pixel = Pixel {
-                    surroundings,
-                    point: origins.points[piece * PIECE + i],
-                    normal: origins.normals[piece * PIECE + i],
-                    view: origins.views[piece * PIECE + i],
-                    seed: origins.seeds[piece * PIECE + i],
-                    model,
-                    rays,
-                };
                 let bounced = bounced.get_mut(i * rows * values..(i + 1) * rows * values);
-                pixel.fill::<M>(to.as_chunks_mut().0, radiance, bounced.unwrap_or_default());
+                let to = (to.as_chunks_mut().0, bounced.unwrap_or_default());
+                let pixel = (origins, piece * PIECE + i);
+                fill_pixel::<M>(surroundings, pixel, model, rays, radiance, to);
             }
         });
         Ok(found)
     })
 }
 
-struct Pixel<'a> {
-    surroundings: &'a Surroundings,
-    point: DVec3,
-    normal: DVec3,
-    view: DVec3,
-    seed: u64,
+/// Writes the rows of pixel p: those of the open sky less what is blocked; and what that brings.
+fn fill_pixel<M: Reflection>(
+    surroundings: &Surroundings,
+    (origins, p): (Origins, usize),
     model: Model,
     rays: usize,
-}
-
-impl Pixel<'_> {
-    /// Writes its rows: those of the open sky less what is blocked; and what that brings.
-    fn fill<M: Reflection>(
-        &self,
-        rows: &mut [[f32; COEFFICIENTS]],
-        radiance: Option<Radiance>,
-        bounced: &mut [f32],
-    ) {
-        let (cosine, _) = directions(self.normal, self.view);
-        let open = Frame::<M>::new(self.normal, self.view);
-        rows[0] = open.diffuse.map(|y| y as f32);
-        each_entry::<M, COEFFICIENTS>(|k, row, entry| rows[1 + row][k] = open.lobe[entry] as f32);
-        let [normal, view, point] = [self.normal, self.view, self.point].map(|v| v.as_vec3a());
-        let dual = Dual::new(self.model, cosine, normal, view);
-        let mut blocked = Blocked::new(&dual, normal, bounced);
-        Rays::new(normal, view, self.rays, self.seed).each(|direction, weight| match radiance {
-            None => {
-                if self.surroundings.blocks(point, direction) {
-                    blocked.push(direction, weight, &[]);
-                }
+    radiance: Option<Radiance>,
+    (rows, bounced): (&mut [[f32; COEFFICIENTS]], &mut [f32]),
+) {
+    let [normal, view] = [origins.normals[p], origins.views[p]];
+    let (cosine, _) = directions(normal, view);
+    let open = Frame::<M>::new(normal, view);
+    rows[0] = open.diffuse.map(|y| y as f32);
+    each_entry::<M, COEFFICIENTS>(|k, row, entry| rows[1 + row][k] = open.lobe[entry] as f32);
+    let [normal, view, point] = [normal, view, origins.points[p]].map(|v| v.as_vec3a());
+    let dual = Dual::new(model, cosine, normal, view);
+    let mut blocked = Blocked::new(&dual, normal, bounced);
+    Rays::new(normal, view, rays, origins.seeds[p]).each(|direction, weight| match radiance {
+        None => {
+            if surroundings.blocks(point, direction) {
+                blocked.push(direction, weight, &[]);
             }
-            Some(radiance) => {
-                if let Some(hit) = self.surroundings.hit(point, direction) {
-                    let shown = radiance.at(point + hit.distance * direction, hit.surface);
-                    blocked.push(direction, weight, shown);
-                }
+        }
+        Some(radiance) => {
+            if let Some(hit) = surroundings.hit(point, direction) {
+                let shown = radiance.at(point + hit.distance * direction, hit.surface);
+                blocked.push(direction, weight, shown);
             }
-        });
-        let blocked = blocked.finish();
-        debug_assert_eq!(rows.len(), 1 + dual.rows());
-        for (row, blocked) in rows.iter_mut().zip(&blocked) {
-            for k in 0..COEFFICIENTS {
-                row[k] -= blocked[k];
-            }
+        }
+    });
+    for (row, blocked) in rows.iter_mut().zip(&blocked.finish()) {
+        for k in 0..COEFFICIENTS {
+            row[k] -= blocked[k];
         }
     }
 }
@@ -285,46 +267,22 @@ impl<'a, 'b> Blocked<'a, 'b> {
         self.shown[self.count] = shown;
         self.count += 1;
         if self.count == RAYS {
-            self.add();
+            vectorized!(Instructions::best(), self.add());
+            self.count = 0;
         }
     }
 
     fn finish(mut self) -> [[f32; COEFFICIENTS]; 1 + MAX_ROWS] {
         if self.count > 0 {
             self.batch.weight[self.count..].fill(0.0);
-            self.add();
+            vectorized!(Instructions::best(), self.add());
         }
         self.rows
     }
 
-    fn add(&mut self) {
-        Instructions::best().run(AddRays {
-            dual: self.dual,
-            normal: self.normal,
-            batch: &self.batch,
-            shown: &self.shown[..self.count],
-            rows: &mut self.rows,
-            bounced: self.bounced,
-        });
-        self.count = 0;
-    }
-}
-
-/// Adds a batch of rays: Σ w q Y, and Σ w q times what they bring.
-struct AddRays<'a, 'b> {
-    dual: &'a Dual,
-    normal: Vec3A,
-    batch: &'b Batch,
-    shown: &'b [&'a [f32]],
-    rows: &'b mut [[f32; COEFFICIENTS]; 1 + MAX_ROWS],
-    bounced: &'b mut [f32],
-}
-
-impl Kernel for AddRays<'_, '_> {
-    type Output = ();
-
+    /// Adds the batch: Σ w q Y, and Σ w q times what its rays bring.
     #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
+    fn add(&mut self) {
         /// Partial sums, so that additions need not wait for each other.
         const LANES: usize = 16;
         let Self {
@@ -332,13 +290,14 @@ impl Kernel for AddRays<'_, '_> {
             normal,
             batch,
             shown,
+            count,
             rows,
             bounced,
         } = self;
         let mut q = [[0.0; RAYS]; 1 + MAX_ROWS];
         let (matt, lobe) = q.split_first_mut().expect("the matt part's row");
         for x in 0..RAYS {
-            matt[x] = batch.weight[x] * batch.dot(normal, x);
+            matt[x] = batch.weight[x] * batch.dot(*normal, x);
         }
         dual.fill(batch, lobe.first_chunk_mut().expect("rows of the lobe"));
         for row in &mut lobe[..dual.rows()] {
@@ -367,7 +326,7 @@ impl Kernel for AddRays<'_, '_> {
         if bounced.is_empty() {
             return;
         }
-        for (x, shown) in shown.iter().enumerate() {
+        for (x, shown) in shown[..*count].iter().enumerate() {
             for (sums, q) in bounced.chunks_exact_mut(shown.len()).zip(&q) {
                 for (sum, value) in sums.iter_mut().zip(*shown) {
                     *sum += q[x] * value;

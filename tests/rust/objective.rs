@@ -94,14 +94,12 @@ impl Example {
     }
 
     fn targets(&self, threads: usize) -> Targets {
-        Targets::of(
-            &self.images,
-            self.pixels(),
-            self.pictures,
-            self.channels,
-            threads,
-        )
-        .unwrap()
+        let (pixels, channels) = (self.pixels(), self.channels);
+        let mut targets = Targets::new(pixels, self.pictures, channels, threads).unwrap();
+        for picture in self.images.chunks(pixels * channels) {
+            targets.push(picture).unwrap();
+        }
+        targets
     }
 
     fn pixels(&self) -> usize {
@@ -331,13 +329,15 @@ fn band_table_agrees_with_the_bands() {
 #[test]
 fn refusals_name_the_array() {
     let example = Example::new(20, 2);
-    let images = |values: &[f32], pixels: usize, pictures: usize, channels: usize| {
-        Targets::of(values, pixels, pictures, channels, 0).map_err(|error| error.to_string())
+    let refused = |values: &[f32], pixels: usize, pictures: usize, channels: usize| {
+        let targets = Targets::new(pixels, pictures, channels, 0);
+        let refused = targets.and_then(|mut targets| {
+            let mut pictures = values.chunks(pixels * channels);
+            pictures.try_for_each(|picture| targets.push(picture))
+        });
+        refused.unwrap_err().to_string()
     };
-    let refused = |values: &[f32], pixels, pictures, channels| {
-        images(values, pixels, pictures, channels).unwrap_err()
-    };
-    assert!(refused(&example.images[1..], 20, 2, 3).starts_with("images: expected 120 numbers"));
+    assert!(refused(&example.images[1..], 20, 2, 3).starts_with("images: expected 60 numbers"));
     let mut not_finite = example.images.clone();
     not_finite[67] = f32::NAN;
     assert_eq!(
@@ -432,11 +432,8 @@ fn normal_equations(example: &Example, problem: &Problem) -> Vec<f64> {
     let schur_complement = problem.schur_complement(&x, &pixels, &how).unwrap();
     let back_substitute = problem.back_substitute(&x, &pixels, &modes[..modes.len() / 2], &how);
     [
-        equations.matrices,
-        equations.gradient,
-        equations.sum_sq_residuals,
-        derivatives.by_material,
-        derivatives.by_light,
+        equations.concat(),
+        derivatives.concat(),
         moves.unwrap().concat(),
         schur_complement.matrix,
         schur_complement.gradient,

@@ -9,13 +9,13 @@
 use crate::block::factors::FillFunctions;
 use crate::pixel::products::{PixelProducts, Products};
 use crate::problem::Problem;
+use crate::problem::by_pixel::fill_by_pixel;
 use crate::reflectance::model::with_model_of;
 use crate::reflectance::planes::{BLOCK, Doubles, Plane, no_functions};
 use crate::reflectance::reflection::{ExactFunctions, Reflection};
 use crate::reflectance::sh::COEFFICIENTS;
-use crate::runtime::memory::zeros;
-use crate::runtime::simd::Instructions;
-use crate::runtime::{Result, check, pool};
+use crate::runtime::simd::{Instructions, Isa, Kernel, vectorized};
+use crate::runtime::{Result, check};
 
 mod paper;
 mod principled;
@@ -51,16 +51,31 @@ pub(crate) trait AlbedoFromProducts: Reflection {
         });
     }
 
-    /// Takes up one channel.
-    fn set_channel(isa: Instructions, at: Given<'_, Self>, at_roughness: &mut Self::AtRoughness);
+    /// Takes up one channel; always inlined, as [`minimize`](Self::minimize) is.
+    fn set_channel(at: Given<'_, Self>, at_roughness: &mut Self::AtRoughness);
 
     /// The albedo of each channel with the least χ², which is added to the sum of squares. It is
     /// looked for in float32, by `STEPS` of Newton's method, because an error of it counts by its
     /// square; then by `EXACT` more in float64. χ² is float64.
-    fn minimize<const STEPS: usize, const EXACT: usize>(
-        isa: Instructions,
+    fn minimize<I: Isa, const STEPS: usize, const EXACT: usize>(
         by_albedo: ByAlbedo<'_, Self::AtRoughness>,
     );
+}
+
+/// [`AlbedoFromProducts::minimize`]
+struct Minimize<'a, M: AlbedoFromProducts, const STEPS: usize, const EXACT: usize>(
+    ByAlbedo<'a, M::AtRoughness>,
+);
+
+impl<M: AlbedoFromProducts, const STEPS: usize, const EXACT: usize> Kernel
+    for Minimize<'_, M, STEPS, EXACT>
+{
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _: I) {
+        M::minimize::<I, STEPS, EXACT>(self.0);
+    }
 }
 
 /// What a channel is taken up from.
@@ -83,15 +98,6 @@ pub(crate) struct ByAlbedo<'a, G> {
     pub(crate) sum_sq_residuals: &'a mut Doubles,
 }
 
-/// Best albedo of each pixel, and Σ ω (I − T)² with it.
-#[derive(Clone, Debug)]
-pub struct BestAlbedo {
-    /// (pixel, channel)
-    pub albedo: Vec<f64>,
-    /// (pixel)
-    pub sum_sq_residuals: Vec<f64>,
-}
-
 impl Problem {
     /// Least Σ ω (I − T)² over albedo for every combination of roughness and metallic, with the
     /// lights of x, in float32: (pixel of `pixels`, roughness, metallic).
@@ -109,8 +115,8 @@ impl Problem {
     }
 
     /// The albedo that explains each of `pixels` best with the roughness and metallic of x, and the
-    /// lights of x.
-    pub fn best_albedo(&self, x: &[f64], pixels: &[usize]) -> Result<BestAlbedo> {
+    /// lights of x, (pixel, channel); and Σ ω (I − T)² with it, (pixel).
+    pub fn best_albedo(&self, x: &[f64], pixels: &[usize]) -> Result<[Vec<f64>; 2]> {
         with_model_of!(self, M => best_albedo::<M>(self, x, pixels))
     }
 }
@@ -123,20 +129,18 @@ fn material_grid<M: AlbedoFromProducts>(
 ) -> Result<Vec<f32>> {
     let (maps, lights) = problem.at(x, pixels)?;
     let nodes = roughness.len() * metallic.len();
-    let mut grid: Vec<f32> = zeros("material grid", pixels.len() * nodes)?;
-    if grid.is_empty() {
-        return Ok(grid);
+    if nodes == 0 {
+        return Ok(Vec::new());
     }
-    let pieces = pixels
-        .chunks(CHUNK * BLOCK)
-        .zip(grid.chunks_mut(CHUNK * BLOCK * nodes))
-        .collect();
-    pool::map(problem.threads(), pieces, |(pixels, grid)| {
-        let mut block = Block::<M>::new(problem);
-        let mut planes = vec![Doubles::default(); nodes];
-        for (pixels, grid) in pixels.chunks(BLOCK).zip(grid.chunks_mut(BLOCK * nodes)) {
+    let [grid] = fill_by_pixel(
+        ("material grid", problem.options.threads),
+        pixels,
+        CHUNK,
+        [nodes],
+        || (Block::<M>::new(problem), vec![Doubles::default(); nodes]),
+        |(block, planes), _, pixels, [grid]: [&mut [f32]; 1]| {
             block.load(maps, &lights, pixels);
-            block.fill_grid::<NEWTON_STEPS>(roughness, metallic, &mut planes);
+            block.fill_grid::<NEWTON_STEPS>(roughness, metallic, planes);
             for (i, planes) in planes.chunks(NODES_AT_ONCE).enumerate() {
                 for (x, of_pixel) in grid.chunks_mut(nodes).enumerate() {
                     let there = &mut of_pixel[i * NODES_AT_ONCE..][..planes.len()];
@@ -145,8 +149,8 @@ fn material_grid<M: AlbedoFromProducts>(
                     }
                 }
             }
-        }
-    });
+        },
+    )?;
     Ok(grid)
 }
 
@@ -154,42 +158,35 @@ fn best_albedo<M: AlbedoFromProducts>(
     problem: &Problem,
     x: &[f64],
     pixels: &[usize],
-) -> Result<BestAlbedo> {
+) -> Result<[Vec<f64>; 2]> {
     let (maps, lights) = problem.at(x, pixels)?;
-    let parts = pool::map(
-        problem.threads(),
-        pixels.chunks(CHUNK * BLOCK).collect(),
-        |pixels: &[usize]| {
-            let mut block = Block::<M>::new(problem);
-            let (mut albedo, mut sum_sq_residuals) = (Vec::new(), Vec::new());
-            for pixels in pixels.chunks(BLOCK) {
-                block.load(maps, &lights, pixels);
-                for (x, &p) in pixels.iter().enumerate() {
-                    (block.roughness.0[x], block.metallic.0[x]) =
-                        problem.roughness_and_metallic(maps, p);
-                }
-                block.at_own_roughness();
-                for x in 0..pixels.len() {
-                    albedo.extend(block.albedo.iter().map(|plane| plane.0[x]));
-                    sum_sq_residuals.push(block.sum_sq_residuals.0[x]);
+    fill_by_pixel(
+        ("albedo", problem.options.threads),
+        pixels,
+        CHUNK,
+        [problem.channels(), 1],
+        || Block::<M>::new(problem),
+        |block, _, pixels, [albedo, sum_sq_residuals]| {
+            block.load(maps, &lights, pixels);
+            for (x, &p) in pixels.iter().enumerate() {
+                (block.roughness.0[x], block.metallic.0[x]) =
+                    problem.roughness_and_metallic(maps, p);
+            }
+            block.at_own_roughness();
+            sum_sq_residuals.copy_from_slice(&block.sum_sq_residuals.0[..pixels.len()]);
+            for (x, albedo) in albedo.chunks_mut(block.albedo.len()).enumerate() {
+                for (to, plane) in albedo.iter_mut().zip(&block.albedo) {
+                    *to = plane.0[x];
                 }
             }
-            (albedo, sum_sq_residuals)
         },
-    );
-    let (albedo, sum_sq_residuals): (Vec<_>, Vec<_>) = parts.into_iter().unzip();
-    Ok(BestAlbedo {
-        albedo: albedo.concat(),
-        sum_sq_residuals: sum_sq_residuals.concat(),
-    })
+    )
 }
 
 /// Up to [`BLOCK`] pixels and what is known of them.
 pub(crate) struct Block<'a, M: AlbedoFromProducts> {
     problem: &'a Problem,
     isa: Instructions,
-    /// n·v
-    cosine: Doubles,
     pub(crate) products: PixelProducts,
     functions: Box<ExactFunctions<M>>,
     /// By channel.
@@ -205,8 +202,7 @@ impl<'a, M: AlbedoFromProducts> Block<'a, M> {
     pub(crate) fn new(problem: &'a Problem) -> Self {
         Self {
             problem,
-            isa: problem.instructions(),
-            cosine: Plane([1.0; BLOCK]),
+            isa: problem.options.instructions,
             products: PixelProducts::new(problem.channels()),
             functions: no_functions(),
             at_roughness: vec![M::AtRoughness::default(); problem.channels()],
@@ -220,7 +216,6 @@ impl<'a, M: AlbedoFromProducts> Block<'a, M> {
     /// Takes up pixels, with the normals of `maps`, and sums their products over pictures.
     pub(crate) fn load(&mut self, maps: &[f64], lights: &[[f64; COEFFICIENTS]], pixels: &[usize]) {
         self.products.load::<M>(self.problem, maps, lights, pixels);
-        self.cosine = *self.products.directions.cosines();
     }
 
     /// χ² at every node of the grid: a plane for each, (roughness, metallic). `STEPS` of Newton's
@@ -232,7 +227,8 @@ impl<'a, M: AlbedoFromProducts> Block<'a, M> {
         nodes: &mut [Doubles],
     ) {
         for (&r, of_roughness) in roughness.iter().zip(nodes.chunks_mut(metallic.len())) {
-            M::fill_shared(self.isa, &self.cosine, r, &mut self.functions);
+            let cosine = self.products.directions.cosines();
+            M::fill_shared(self.isa, cosine, r, &mut self.functions);
             self.roughness.0.fill(r);
             self.set_channels();
             for (sum, &m) in of_roughness.iter_mut().zip(metallic) {
@@ -246,7 +242,7 @@ impl<'a, M: AlbedoFromProducts> Block<'a, M> {
     /// Best albedo and χ² at the roughness and metallic that each pixel has.
     pub(crate) fn at_own_roughness(&mut self) {
         self.isa.run(FillFunctions::<M> {
-            cosine: &self.cosine,
+            cosine: self.products.directions.cosines(),
             roughness: &self.roughness,
             by_cosine: false,
             functions: &mut self.functions,
@@ -259,25 +255,22 @@ impl<'a, M: AlbedoFromProducts> Block<'a, M> {
         for (products, to) in self.products.by_channel.iter().zip(&mut self.at_roughness) {
             let given = Given {
                 products,
-                cosine: &self.cosine,
+                cosine: self.products.directions.cosines(),
                 roughness: &self.roughness,
                 functions: &self.functions,
             };
-            M::set_channel(self.isa, given, to);
+            vectorized!(self.isa, M::set_channel(given, to));
         }
     }
 
     fn minimize<const STEPS: usize, const EXACT: usize>(&mut self) {
         self.sum_sq_residuals = Doubles::default();
-        M::minimize::<STEPS, EXACT>(
-            self.isa,
-            ByAlbedo {
-                products: &self.products.by_channel,
-                at_roughness: &mut self.at_roughness,
-                metallic: &self.metallic,
-                albedo: &mut self.albedo,
-                sum_sq_residuals: &mut self.sum_sq_residuals,
-            },
-        );
+        self.isa.run(Minimize::<M, STEPS, EXACT>(ByAlbedo {
+            products: &self.products.by_channel,
+            at_roughness: &mut self.at_roughness,
+            metallic: &self.metallic,
+            albedo: &mut self.albedo,
+            sum_sq_residuals: &mut self.sum_sq_residuals,
+        }));
     }
 }

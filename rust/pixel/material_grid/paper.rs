@@ -15,7 +15,7 @@ use crate::reflectance::ggx::{self, DIELECTRIC_F0};
 use crate::reflectance::paper::Paper;
 use crate::reflectance::planes::{BLOCK, BlockFunctions, Doubles, Plane};
 use crate::reflectance::sh::BANDS;
-use crate::runtime::simd::{Instructions, Isa, Kernel};
+use crate::runtime::simd::{Instructions, Isa};
 
 /// What remains of a channel when roughness is given: products of D, S and T, masking and Fresnel.
 #[derive(Clone, Debug, Default)]
@@ -44,38 +44,15 @@ impl<const S: bool> AlbedoFromProducts for Paper<S> {
         }
     }
 
-    fn set_channel(isa: Instructions, given: Given<'_, Self>, at_roughness: &mut AtRoughness) {
-        isa.run(TakeRoughness {
-            given,
-            at_roughness,
-        });
-    }
-
-    fn minimize<const STEPS: usize, const EXACT: usize>(
-        isa: Instructions,
-        by_albedo: ByAlbedo<'_, AtRoughness>,
-    ) {
-        isa.run(Minimize::<STEPS, EXACT>(by_albedo));
-    }
-}
-
-/// From the products of bands to those of S = Σ h_l B_l.
-struct TakeRoughness<'a, const S: bool> {
-    given: Given<'a, Paper<S>>,
-    at_roughness: &'a mut AtRoughness,
-}
-
-impl<const S: bool> Kernel for TakeRoughness<'_, S> {
-    type Output = ();
-
+    /// From the products of bands to those of S = Σ h_l B_l.
     #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
+    fn set_channel(given: Given<'_, Self>, at: &mut AtRoughness) {
         let Given {
             products,
             cosine,
             roughness,
             functions,
-        } = self.given;
+        } = given;
         let [mut ss, mut ds, mut st] = <[Doubles; 3]>::default();
         for l in 0..BANDS {
             let (diffuse, target) = (products.of(0, 1 + l), products.with_target(1 + l));
@@ -92,7 +69,6 @@ impl<const S: bool> Kernel for TakeRoughness<'_, S> {
                 }
             }
         }
-        let at = self.at_roughness;
         at.products = [*products.of(0, 0), ds, ss, *products.with_target(0), st];
         let tt = products.target_target();
         let mut scale = Doubles::default();
@@ -108,23 +84,18 @@ impl<const S: bool> Kernel for TakeRoughness<'_, S> {
             }
         }
     }
-}
-
-/// By `STEPS` of Newton's method in float32, and `EXACT` in float64.
-struct Minimize<'a, const STEPS: usize, const EXACT: usize>(ByAlbedo<'a, AtRoughness>);
-
-impl<const STEPS: usize, const EXACT: usize> Kernel for Minimize<'_, STEPS, EXACT> {
-    type Output = ();
 
     #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
+    fn minimize<I: Isa, const STEPS: usize, const EXACT: usize>(
+        by_albedo: ByAlbedo<'_, AtRoughness>,
+    ) {
         let ByAlbedo {
             products,
             at_roughness,
             metallic,
             albedo,
             sum_sq_residuals,
-        } = self.0;
+        } = by_albedo;
         fill_factors::<I>(&mut at_roughness[0], metallic);
         let (factors, rough_factors) = (at_roughness[0].factors, at_roughness[0].rough_factors);
         let of_channels = products.iter().zip(at_roughness).zip(albedo);

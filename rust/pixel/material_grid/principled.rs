@@ -12,7 +12,7 @@ use crate::pixel::material_grid::{AlbedoFromProducts, ByAlbedo, Given, STARTS};
 use crate::reflectance::planes::{BLOCK, Doubles, Plane};
 use crate::reflectance::principled::{Mix, Mixer, Principled, ROWS, Surface};
 use crate::reflectance::sh::Real;
-use crate::runtime::simd::{Instructions, Isa, Kernel};
+use crate::runtime::simd::Isa;
 
 /// What remains when roughness is given.
 #[derive(Clone, Debug, Default)]
@@ -83,36 +83,9 @@ fn dot<T: Real>(f: &Mix<T>, g: &Mix<T>) -> T {
 impl<const S: bool> AlbedoFromProducts for Principled<S> {
     type AtRoughness = AtRoughness;
 
-    fn set_channel(isa: Instructions, given: Given<'_, Self>, at_roughness: &mut AtRoughness) {
-        isa.run(TakeLobe {
-            given,
-            at_roughness,
-        });
-    }
-
-    fn minimize<const STEPS: usize, const EXACT: usize>(
-        isa: Instructions,
-        by_albedo: ByAlbedo<'_, AtRoughness>,
-    ) {
-        isa.run(Minimize::<STEPS, EXACT>(by_albedo));
-    }
-}
-
-/// From the products of rows to those of U and V.
-struct TakeLobe<'a, const S: bool> {
-    given: Given<'a, Principled<S>>,
-    at_roughness: &'a mut AtRoughness,
-}
-
-impl<const S: bool> Kernel for TakeLobe<'_, S> {
-    type Output = ();
-
+    /// From the products of rows to those of U and V.
     #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
-        let Self {
-            given,
-            at_roughness,
-        } = self;
+    fn set_channel(given: Given<'_, Self>, at: &mut AtRoughness) {
         let (products, functions) = (given.products, given.functions);
         let (a, b) = (&functions[..ROWS], &functions[ROWS..2 * ROWS]);
         let zero = Doubles::default();
@@ -146,29 +119,24 @@ impl<const S: bool> Kernel for TakeLobe<'_, S> {
         );
         for x in 0..BLOCK {
             let sizes = dd.0[x] + uu.0[x] + vv.0[x] + tt.0[x];
-            at_roughness.scale.0[x] = 1.0 / (sizes + f64::MIN_POSITIVE);
+            at.scale.0[x] = 1.0 / (sizes + f64::MIN_POSITIVE);
         }
-        at_roughness.form = Quadratic([dd, du, dv, uu, uv, vv, dt, ut, vt]);
-        (at_roughness.a, at_roughness.b) = (functions[0], functions[ROWS]);
-        (at_roughness.mean, at_roughness.glass) = (functions[2 * ROWS], functions[2 * ROWS + 1]);
+        at.form = Quadratic([dd, du, dv, uu, uv, vv, dt, ut, vt]);
+        (at.a, at.b) = (functions[0], functions[ROWS]);
+        (at.mean, at.glass) = (functions[2 * ROWS], functions[2 * ROWS + 1]);
     }
-}
-
-/// By `STEPS` of Newton's method in float32, and `EXACT` in float64.
-struct Minimize<'a, const STEPS: usize, const EXACT: usize>(ByAlbedo<'a, AtRoughness>);
-
-impl<const STEPS: usize, const EXACT: usize> Kernel for Minimize<'_, STEPS, EXACT> {
-    type Output = ();
 
     #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
+    fn minimize<I: Isa, const STEPS: usize, const EXACT: usize>(
+        by_albedo: ByAlbedo<'_, AtRoughness>,
+    ) {
         let ByAlbedo {
             products,
             at_roughness,
             metallic,
             albedo,
             sum_sq_residuals,
-        } = self.0;
+        } = by_albedo;
         for ((products, at), albedo) in products.iter().zip(at_roughness).zip(albedo) {
             let mut found = [Plane::<f32>::default(); 2];
             search::<STEPS>(at, metallic, &mut found);

@@ -5,18 +5,16 @@
 //! Gauss–Newton matrix f_xᵀGf_y. They cost the same for any number of pictures, and know the sum to
 //! 10⁻¹⁵ of Σ ω T².
 
-use std::marker::PhantomData;
-
 use crate::block::basis::MAX_PROJECTIONS;
 use crate::block::factors::FillFunctions;
 use crate::block::normal_jacobian::TangentOffsets;
 use crate::pixel::descent::LeastSquares;
 use crate::pixel::products::{PixelProducts, Products};
-use crate::pixel::samples::{DERIVATIVES, FillResponses, Responses, Sums, unknowns_of_channel};
-use crate::reflectance::planes::{BLOCK, Directions, Doubles, Materials, no_functions};
+use crate::pixel::samples::{DERIVATIVES, Responses, Sums, unknowns_of_channel};
+use crate::reflectance::planes::{BLOCK, Doubles, Materials, no_functions};
 use crate::reflectance::principled::Principled;
 use crate::reflectance::reflection::{ExactFunctions, Reflection};
-use crate::runtime::simd::{Instructions, Isa, Kernel};
+use crate::runtime::simd::{Instructions, vectorized};
 
 mod paper;
 
@@ -25,44 +23,29 @@ pub(crate) trait LeastSquaresFromProducts: Reflection {
     /// Fills in sum of squares, gradient and matrix; of the albedos with each other only the
     /// diagonal.
     fn fill_sums<const C: usize, const U: usize>(
-        isa: Instructions,
-        channels: Channels<'_, Self, C, U>,
+        form: &mut Form<Self>,
+        products: &PixelProducts,
+        materials: &Materials<C>,
+        sums: &mut Sums<U>,
     ) {
-        *channels.sums = Sums::default();
-        for c in 0..C {
-            isa.run(FillResponses {
-                directions: channels.directions,
-                albedo: &channels.materials.albedo[c],
-                roughness: &channels.materials.roughness,
-                metallic: &channels.materials.metallic,
-                functions: channels.functions,
-                responses: channels.responses,
-                model: PhantomData::<Self>,
-            });
-            isa.run(AddChannel::<Self, U> {
-                products: &channels.products[c],
-                responses: channels.responses,
-                unknowns: unknowns_of_channel::<C, DERIVATIVES>(c),
-                sums: channels.sums,
-                model: PhantomData,
-            });
+        *sums = Sums::default();
+        let (directions, functions) = (&products.directions, &form.functions);
+        let responses = &mut form.responses;
+        for (c, products) in products.by_channel.iter().enumerate() {
+            vectorized!(
+                form.isa,
+                responses.fill::<Self, C>(c, directions, materials, functions)
+            );
+            let unknowns = unknowns_of_channel::<C, DERIVATIVES>(c);
+            vectorized!(
+                form.isa,
+                add_channel::<Self, U>(products, responses, unknowns, sums)
+            );
         }
     }
 }
 
 impl<const S: bool> LeastSquaresFromProducts for Principled<S> {}
-
-/// The channels of a block.
-pub(crate) struct Channels<'a, M: Reflection, const C: usize, const U: usize> {
-    pub(crate) directions: &'a Directions<f64>,
-    pub(crate) products: &'a [Products],
-    pub(crate) functions: &'a ExactFunctions<M>,
-    pub(crate) materials: &'a Materials<C>,
-    /// Room for what a sample is made of.
-    pub(crate) responses: &'a mut Responses,
-    /// To be written.
-    pub(crate) sums: &'a mut Sums<U>,
-}
 
 /// Sums of squares from products, at the normals that these were summed at.
 pub(crate) struct Form<M: Reflection> {
@@ -104,80 +87,57 @@ impl<M: LeastSquaresFromProducts, const C: usize, const U: usize> LeastSquares<C
             by_cosine: false,
             functions: &mut form.functions,
         });
-        let channels = Channels {
-            directions: &products.directions,
-            products: &products.by_channel,
-            functions: &form.functions,
-            materials,
-            responses: &mut form.responses,
-            sums,
-        };
-        M::fill_sums(form.isa, channels);
+        M::fill_sums(form, products, materials, sums);
     }
 }
 
 /// Adds one channel, with all of a pixel's light projections.
-struct AddChannel<'a, M: Reflection, const U: usize> {
-    products: &'a Products,
-    responses: &'a Responses,
+#[inline(always)]
+fn add_channel<M: Reflection, const U: usize>(
+    products: &Products,
+    responses: &Responses,
     unknowns: [usize; DERIVATIVES],
-    sums: &'a mut Sums<U>,
-    model: PhantomData<M>,
-}
-
-impl<M: Reflection, const U: usize> Kernel for AddChannel<'_, M, U> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
-        let Self {
-            products,
-            responses:
-                Responses {
-                    radiance,
-                    derivatives,
-                },
-            unknowns,
-            sums,
-            ..
-        } = self;
-        // Gf − t, and G f_x.
-        let mut slope = [Doubles::default(); MAX_PROJECTIONS];
-        let mut bent = [[Doubles::default(); MAX_PROJECTIONS]; DERIVATIVES];
-        for s in 0..=M::ROWS {
-            let target = products.with_target(s);
+    sums: &mut Sums<U>,
+) {
+    let Responses {
+        radiance,
+        derivatives,
+    } = responses;
+    // Gf − t, and G f_x.
+    let mut slope = [Doubles::default(); MAX_PROJECTIONS];
+    let mut bent = [[Doubles::default(); MAX_PROJECTIONS]; DERIVATIVES];
+    for s in 0..=M::ROWS {
+        let target = products.with_target(s);
+        for x in 0..BLOCK {
+            slope[s].0[x] = -target.0[x];
+        }
+        for t in 0..=M::ROWS {
+            let product = products.of(s, t);
             for x in 0..BLOCK {
-                slope[s].0[x] = -target.0[x];
+                slope[s].0[x] += product.0[x] * radiance[t].0[x];
             }
-            for t in 0..=M::ROWS {
-                let product = products.of(s, t);
+            for (bent, by) in bent.iter_mut().zip(derivatives) {
                 for x in 0..BLOCK {
-                    slope[s].0[x] += product.0[x] * radiance[t].0[x];
+                    bent[s].0[x] += product.0[x] * by[t].0[x];
                 }
-                for (bent, by) in bent.iter_mut().zip(derivatives) {
-                    for x in 0..BLOCK {
-                        bent[s].0[x] += product.0[x] * by[t].0[x];
-                    }
-                }
-            }
-            for x in 0..BLOCK {
-                sums.sum_sq_residuals.0[x] += radiance[s].0[x] * (slope[s].0[x] - target.0[x]);
             }
         }
         for x in 0..BLOCK {
-            sums.sum_sq_residuals.0[x] += products.target_target().0[x];
+            sums.sum_sq_residuals.0[x] += radiance[s].0[x] * (slope[s].0[x] - target.0[x]);
         }
-        for (i, by) in derivatives.iter().enumerate() {
-            for s in 0..=M::ROWS {
+    }
+    for x in 0..BLOCK {
+        sums.sum_sq_residuals.0[x] += products.target_target().0[x];
+    }
+    for (i, by) in derivatives.iter().enumerate() {
+        for s in 0..=M::ROWS {
+            for x in 0..BLOCK {
+                sums.gradient[unknowns[i]].0[x] += by[s].0[x] * slope[s].0[x];
+            }
+            for j in 0..=i {
+                let (row, column) = (unknowns[i].max(unknowns[j]), unknowns[i].min(unknowns[j]));
                 for x in 0..BLOCK {
-                    sums.gradient[unknowns[i]].0[x] += by[s].0[x] * slope[s].0[x];
-                }
-                for j in 0..=i {
-                    let (row, column) =
-                        (unknowns[i].max(unknowns[j]), unknowns[i].min(unknowns[j]));
-                    for x in 0..BLOCK {
-                        sums.matrix[row][column].0[x] += by[s].0[x] * bent[j][s].0[x];
-                    }
+                    sums.matrix[row][column].0[x] += by[s].0[x] * bent[j][s].0[x];
                 }
             }
         }

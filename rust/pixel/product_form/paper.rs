@@ -12,26 +12,40 @@
 
 use std::f64::consts::FRAC_1_PI;
 
-use crate::pixel::product_form::{Channels, LeastSquaresFromProducts};
+use crate::pixel::product_form::{Form, LeastSquaresFromProducts};
+use crate::pixel::products::PixelProducts;
+use crate::pixel::samples::Sums;
 use crate::reflectance::ggx::{self, DIELECTRIC_F0};
 use crate::reflectance::paper::Paper;
-use crate::reflectance::planes::{BLOCK, Doubles};
+use crate::reflectance::planes::{BLOCK, BlockFunctions, Doubles, Materials};
 use crate::reflectance::sh::BANDS;
-use crate::runtime::simd::{Instructions, Isa, Kernel, Vectors};
+use crate::runtime::simd::{Isa, Kernel, Vectors};
 
 impl<const S: bool> LeastSquaresFromProducts for Paper<S> {
     fn fill_sums<const C: usize, const U: usize>(
-        isa: Instructions,
-        channels: Channels<'_, Self, C, U>,
+        form: &mut Form<Self>,
+        products: &PixelProducts,
+        materials: &Materials<C>,
+        sums: &mut Sums<U>,
     ) {
-        isa.run(FillSums(channels));
+        form.isa.run(FillSums {
+            products,
+            functions: &form.functions,
+            materials,
+            sums,
+        });
     }
 }
 
 /// Fills in sum of squares, gradient and matrix, from products.
-struct FillSums<'a, const S: bool, const C: usize, const U: usize>(Channels<'a, Paper<S>, C, U>);
+struct FillSums<'a, const C: usize, const U: usize> {
+    products: &'a PixelProducts,
+    functions: &'a BlockFunctions,
+    materials: &'a Materials<C>,
+    sums: &'a mut Sums<U>,
+}
 
-impl<const S: bool, const C: usize, const U: usize> Kernel for FillSums<'_, S, C, U> {
+impl<const C: usize, const U: usize> Kernel for FillSums<'_, C, U> {
     type Output = ();
 
     #[inline(always)]
@@ -39,8 +53,8 @@ impl<const S: bool, const C: usize, const U: usize> Kernel for FillSums<'_, S, C
         // (1−n·v)⁵, G₁/4 and its derivative by roughness, which all channels share.
         let mut shared = [Doubles::default(); 3];
         for x in 0..BLOCK {
-            let cosine = self.0.directions.cosine(x);
-            let (g1, slope) = ggx::smith_g1(cosine, self.0.materials.roughness.0[x]);
+            let cosine = self.products.directions.cosine(x);
+            let (g1, slope) = ggx::smith_g1(cosine, self.materials.roughness.0[x]);
             shared[0].0[x] = ggx::schlick(cosine);
             shared[1].0[x] = 0.25 * g1;
             shared[2].0[x] = 0.25 * slope;
@@ -49,16 +63,15 @@ impl<const S: bool, const C: usize, const U: usize> Kernel for FillSums<'_, S, C
     }
 }
 
-impl<const S: bool, const C: usize, const U: usize> FillSums<'_, S, C, U> {
+impl<const C: usize, const U: usize> FillSums<'_, C, U> {
     #[inline(always)]
     fn all<I: Vectors<f64>>(self, isa: I, shared: &[Doubles; 3]) {
-        let Channels {
+        let Self {
             products,
             functions,
             materials,
             sums,
-            ..
-        } = self.0;
+        } = self;
         let (zero, one) = (isa.splat(0.0), isa.splat(1.0));
         let (inverse_pi, dielectric) = (isa.splat(FRAC_1_PI), isa.splat(DIELECTRIC_F0));
         let mul = |a, b| isa.mul(a, b);
@@ -77,7 +90,7 @@ impl<const S: bool, const C: usize, const U: usize> FillSums<'_, S, C, U> {
             let (mut squares, mut by_r, mut by_m) = (zero, zero, zero);
             let (mut m_m, mut m_r, mut r_r) = (zero, zero, zero);
             for c in 0..C {
-                let products = &products[c];
+                let products = &products.by_channel[c];
                 // Products of S and S' with each other, with D and with T.
                 let (mut ss, mut sp, mut pp) = (zero, zero, zero);
                 let (mut ds, mut dp, mut st, mut pt) = (zero, zero, zero, zero);
