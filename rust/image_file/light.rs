@@ -16,8 +16,9 @@ pub struct Stored<'a, T> {
     pub used: [Range<usize>; 2],
 }
 
-/// Averages light over the area that falls on each of `pixels`, (height, width, 3); `value` is that
-/// of a sample of a channel, and grey is that of all three. Parts of old pixels count by their area.
+/// Averages light over the area that falls on each of `pixels`, (height, width, 3); `curve` gives the
+/// values of a channel's samples, and grey is that of all three. Parts of old pixels count by their
+/// area.
 ///
 /// Samples below and above the `data` are at a limit; `bounds` has the limits of colours by those of
 /// the channels, at 9 red + 3 green + blue. Means that have a part in one are marked in `limits`,
@@ -25,10 +26,10 @@ pub struct Stored<'a, T> {
 ///
 /// # Errors
 /// [`crate::Error::Memory`].
-pub fn averaged<T: Copy + PartialOrd>(
+pub fn averaged<T: Copy + PartialOrd, V: Fn(T) -> f32>(
     stored: &Stored<'_, T>,
     [height, width]: [usize; 2],
-    value: impl Fn(usize, T) -> f32,
+    curve: impl Fn(usize) -> V,
     (data, bounds): (Option<[T; 2]>, &[[u8; 3]; 27]),
     pixels: &mut [f32],
     limits: &mut [u8],
@@ -41,67 +42,117 @@ pub fn averaged<T: Copy + PartialOrd>(
         .collect();
     let mut line = zeros::<f32>("pixels", wide * colors)?; // light of a row of samples
     let mut mean = zeros::<f64>("pixels", wide * colors)?; // of rows
-    let mut ready = usize::MAX; // the row that `line` is of
-    let mut marked = false;
+    let mut limits_of = Limits {
+        colors: bounds.map(|[red, green, blue]| u32::from_le_bytes([red, green, blue, 0])),
+        of_samples: zeros("limits", wide * channels)?,
+        of_pixels: zeros("limits", wide)?,
+        of_means: zeros("limits", width)?,
+    };
+    let mut ready = usize::MAX; // the row that these are of
+    let (mut limited, mut marked) = (false, false);
     let lines = pixels.chunks_exact_mut(3 * width);
     let lines = lines.zip(limits.as_chunks_mut::<3>().0.chunks_exact_mut(width));
     for (y, (pixels, limits)) in lines.enumerate() {
         mean.fill(0.0);
         for (row, share) in parts(down, height, y) {
-            let start = ((rows.start + row) * across + columns.start) * channels;
-            let samples = &stored.samples[start..start + wide * channels];
             if ready != row {
-                for c in 0..colors {
-                    let from = samples[c..].iter().step_by(channels);
-                    let to = line[c..].iter_mut().step_by(colors);
-                    to.zip(from)
-                        .for_each(|(to, &sample)| *to = value(c, sample));
-                }
                 ready = row;
+                let start = ((rows.start + row) * across + columns.start) * channels;
+                let samples = &stored.samples[start..start + wide * channels];
+                for c in 0..colors {
+                    let (to, value) = (line[c..].iter_mut().step_by(colors), curve(c));
+                    let from = samples[c..].iter().step_by(channels);
+                    to.zip(from).for_each(|(to, &sample)| *to = value(sample));
+                }
+                limited = data.is_some_and(|data| limits_of.read(samples, channels, data, &shares));
+                marked |= limited;
             }
             if [down, wide] != [height, width] {
                 let sums = mean.iter_mut().zip(&line);
                 sums.for_each(|(sum, &light)| *sum += share * f64::from(light));
             }
-            let Some([low, high]) = &data else { continue };
-            let limit = |sample: &T| match sample {
-                above if above > high => AT_LEAST,
-                below if below < low => AT_MOST,
-                _ => 0,
-            };
-            if samples.iter().fold(0, |any, sample| any | limit(sample)) == 0 {
-                continue;
-            }
-            for (x, pixel) in samples.chunks_exact(channels).enumerate() {
-                let of = [0, 1, 2].map(|c| usize::from(limit(&pixel[c.min(colors - 1)])));
-                let found = bounds[9 * of[0] + 3 * of[1] + of[2]];
-                if found == [0; 3] {
-                    continue;
-                }
-                marked = true;
-                let touched = x * width / wide..((x + 1) * width).div_ceil(wide);
-                for of_pixel in &mut limits[touched] {
-                    for (bound, found) in of_pixel.iter_mut().zip(found) {
-                        if found != 0 && *bound != AT_LEAST {
-                            *bound = found;
-                        }
-                    }
+            if limited {
+                for (bounds, found) in limits.iter_mut().zip(&limits_of.of_means) {
+                    let found = found.to_le_bytes();
+                    *bounds = std::array::from_fn(|c| stronger(bounds[c] | found[c]));
                 }
             }
         }
-        for (x, pixel) in pixels.as_chunks_mut::<3>().0.iter_mut().enumerate() {
-            *pixel = std::array::from_fn(|c| {
-                let c = c.min(colors - 1);
-                if [down, wide] == [height, width] {
-                    return line[x * colors + c];
-                }
-                let parts = shares[x].iter();
-                let parts = parts.map(|(place, share)| share * mean[place * colors + c]);
-                parts.sum::<f64>() as f32
-            });
+        let pixels = pixels.as_chunks_mut::<3>().0;
+        if [down, wide] != [height, width] {
+            match colors {
+                1 => means(mean.as_chunks::<1>().0, &shares, pixels),
+                _ => means(mean.as_chunks::<3>().0, &shares, pixels),
+            }
+        } else {
+            let light = |x: usize| [0, 1, 2].map(|c: usize| line[x * colors + c.min(colors - 1)]);
+            (pixels.iter_mut().enumerate()).for_each(|(x, pixel)| *pixel = light(x));
         }
     }
     Ok(marked)
+}
+
+/// Means over columns, by their shares; grey is that of all three colours.
+fn means<const C: usize>(mean: &[[f64; C]], shares: &[Vec<(usize, f64)>], pixels: &mut [[f32; 3]]) {
+    for (pixel, parts) in pixels.iter_mut().zip(shares) {
+        let mut sum = [0.0; C];
+        for (place, share) in parts {
+            for c in 0..C {
+                sum[c] += share * mean[*place][c];
+            }
+        }
+        *pixel = std::array::from_fn(|c| sum[c.min(C - 1)] as f32);
+    }
+}
+
+/// Limits of a row. Several of a sample are or-ed: they are bits. Three colours are a number's bytes.
+struct Limits {
+    /// Of colours, by those of the channels.
+    colors: [u32; 27],
+    of_samples: Vec<u8>,
+    of_pixels: Vec<u32>,
+    /// Of means that have a part in the row.
+    of_means: Vec<u32>,
+}
+
+impl Limits {
+    /// Finds those of a row of samples; returns whether there is one.
+    fn read<T: Copy + PartialOrd>(
+        &mut self,
+        samples: &[T],
+        channels: usize,
+        [low, high]: [T; 2],
+        shares: &[Vec<(usize, f64)>],
+    ) -> bool {
+        let mut any = 0;
+        for (limit, &sample) in self.of_samples.iter_mut().zip(samples) {
+            *limit = AT_LEAST * u8::from(sample > high) + AT_MOST * u8::from(sample < low);
+            any |= *limit;
+        }
+        if any == 0 {
+            return false;
+        }
+        let pixels = self.of_samples.chunks_exact(channels);
+        for (limits, pixel) in self.of_pixels.iter_mut().zip(pixels) {
+            let [red, green, blue] = match *pixel {
+                [grey] | [grey, _] => [grey; 3],
+                [red, green, blue, ..] => [red, green, blue],
+                [] => [0; 3],
+            };
+            *limits = self.colors[usize::from(9 * red + 3 * green + blue)];
+        }
+        let mut any = 0;
+        for (limits, parts) in self.of_means.iter_mut().zip(shares) {
+            *limits = (parts.iter()).fold(0, |found, (place, _)| found | self.of_pixels[*place]);
+            any |= *limits;
+        }
+        any != 0
+    }
+}
+
+/// `AT_LEAST` where a mean has a part in a sample of either limit.
+fn stronger(bits: u8) -> u8 {
+    if bits & AT_LEAST == 0 { bits } else { AT_LEAST }
 }
 
 /// The places among `old` along a side that one of `new` covers, and its share of each: in units

@@ -122,26 +122,32 @@ pub(super) fn average_light<'py>(
     limits: PyReadwriteArray3<'py, u8>,
 ) -> PyResult<bool> {
     let (curves, [count, levels]) = given::<f32, 2>("curves", curves, [ANY, ANY])?;
-    let curve = |c: usize, code: usize| curves[c % count * levels + code];
+    let curve = |c: usize| &curves[c % count * levels..][..levels];
     let to = (pixels, limits);
     match samples.getattr("dtype")?.getattr("itemsize")?.extract()? {
         1 => {
             let data = codes.map(|codes| codes.map(|code| code as u8));
-            let light = |c, code: u8| curve(c, code.into());
+            let light = |c| {
+                let curve = curve(c);
+                move |code: u8| curve[usize::from(code)]
+            };
             average(samples, used, light, (data, &colors), to)
         }
         2 => {
-            let light = |c, code: u16| curve(c, code.into());
+            let light = |c| {
+                let curve = curve(c);
+                move |code: u16| curve[usize::from(code)]
+            };
             average(samples, used, light, (codes, &colors), to)
         }
-        _ => average(samples, used, |_, light: f32| light, (None, &colors), to),
+        _ => average(samples, used, |_| |light: f32| light, (None, &colors), to),
     }
 }
 
-fn average<'py, T: Element + Copy + PartialOrd + Sync>(
+fn average<'py, T: Element + Copy + PartialOrd + Sync, V: Fn(T) -> f32>(
     samples: &Bound<'py, PyAny>,
     used: [[usize; 2]; 2],
-    value: impl Fn(usize, T) -> f32 + Send,
+    curve: impl Fn(usize) -> V + Send,
     bounds: (Option<[T; 2]>, &[[u8; 3]; 27]),
     (mut pixels, mut limits): (PyReadwriteArray3<'py, f32>, PyReadwriteArray3<'py, u8>),
 ) -> PyResult<bool> {
@@ -160,7 +166,7 @@ fn average<'py, T: Element + Copy + PartialOrd + Sync>(
     let strided = |_| Error::argument("pixels", "numbers in one piece", "steps between them");
     let pixels = pixels.as_slice_mut().map_err(strided)?;
     let limits = limits.as_slice_mut().map_err(strided)?;
-    let work = || image_file::averaged(&stored, [high, wide], value, bounds, pixels, limits);
+    let work = || image_file::averaged(&stored, [high, wide], curve, bounds, pixels, limits);
     Ok(samples.py().detach(work)?)
 }
 

@@ -160,6 +160,7 @@ def decompose_scene(
         )
         heartbeat.step()
         with step("writing"):
+            scene = result.as_fitted(scene)  # once for all, and other pictures are let go
             result.write(folder, scene, task.output)
         wanted.check()
         if task.report:

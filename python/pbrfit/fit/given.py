@@ -36,7 +36,7 @@ from pbrfit.fit.lamps.given_normals import TINY
 from pbrfit.fit.lamps.outline import outline
 from pbrfit.fit.lamps.photometric import DARK, ROUNDS, factors, pseudo_normals, solved
 from pbrfit.fit.lamps.problem import LampPixels
-from pbrfit.fit.lamps.samples import MATT_PIXELS, Samples, brightness, grey_samples
+from pbrfit.fit.lamps.samples import MATT_PIXELS, Samples
 from pbrfit.fit.left_out import patches_of
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import fit_level
@@ -309,9 +309,7 @@ class _Matt:
         given = np.asarray(scene.normals, np.float64)[scene.valid]
         self.pixels = LampPixels.of(scene, given, DEFAULT_MODEL, 1, scene.places)
         samples, told = self.pixels.samples, self.pixels.told
-        grey, usable = grey_samples(samples, told)
-        bright, where = brightness(grey, usable), np.nonzero(scene.valid)
-        self.data = Samples(samples, told, grey, usable, bright, where, scene.valid, 1)
+        self.data = Samples.of(lambda some: (samples[some], told[some]), scene.valid, 1)
         self._patches = patches_of(scene.valid)
         self._in_order = np.arange(len(scene.images))
         self.otherwise = {

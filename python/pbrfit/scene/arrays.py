@@ -445,8 +445,8 @@ class SceneArrays:
             raise InputError(f"response: expected files of integers for {curve}, found none")
         other = encode_srgb if curve == "linear" else decode_srgb
         images = np.empty_like(self.images)
-        for of_picture, found in zip(self.images, images, strict=True):
-            found[:] = other(of_picture)
+        for row in range(self.height):  # a curve has temporaries, which caches hold of a row
+            images[:, row] = other(self.images[:, row])
         noise = self.file_noise
         if noise is not None:
             of = Conversion(curve)

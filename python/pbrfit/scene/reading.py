@@ -764,7 +764,7 @@ def _averaged(
     A pixel is used when all pixels that it averages are, so that nothing from outside the mask
     gets in; ids are not averaged but taken from the middle.
     """
-    small_mask = averaged(mask, size) > 1 - 1e-4
+    small_mask = np.ones(size, bool) if mask.all() else averaged(mask, size) > 1 - 1e-4
     small_normals = None
     if normals is not None:
         small_normals = averaged_channels(np.where(mask[..., None], normals, 0.0), size)

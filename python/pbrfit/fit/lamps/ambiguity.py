@@ -31,6 +31,7 @@ from pbrfit.fit.lamps.outline import Outline
 from pbrfit.fit.lamps.photometric import PseudoNormals
 from pbrfit.fit.lamps.sample_noise import RELATIVE_MIN
 from pbrfit.fit.lamps.samples import BAS_RELIEF, Samples, blocks_of, some_of
+from pbrfit.fit.sampling import pixel_index
 
 Array = NDArray[np.float64]
 
@@ -106,14 +107,19 @@ class Places:
     ) -> Places:
         """Places of pixels whose own samples tell their normals."""
         blocks = blocks_of(data.where)
-        information = np.linalg.eigvalsh(normals.precision)[:, 0]
+        information = normals.information(np.eye(3), data.threads)[:, 0]
         least = KNOWN_MIN * float(np.median(information))
         good = information > least
-        covariances = np.linalg.inv(normals.precision + (least + 1e-12) * np.eye(3))
+        index = pixel_index(data.mask)
+
+        def covariances(row: NDArray[np.intp], column: NDArray[np.intp]) -> Array:
+            precision = normals.precision(index[row, column], np.eye(3))
+            return np.asarray(np.linalg.inv(precision + (least + 1e-12) * np.eye(3)))
+
         known = data.plane(good, 0.0).astype(bool)
         of_block = data.plane(blocks.astype(np.float64), -1.0).astype(np.intp)
         planes = data.plane(np.where(good[:, None], normals.vectors, 0.0), 0.0)
-        integrable = equations(planes, data.plane(covariances, 0.0), known, rays, of_block)
+        integrable = equations(planes, covariances, known, rays, of_block)
         candidates = np.flatnonzero(good)
         # The sampling error of a mean over so many, 2 %, is below that of the blocks, 12 %.
         chosen = candidates[some_of(len(candidates), 2500)]
@@ -140,8 +146,9 @@ def _pairs(data: Samples, normals: PseudoNormals, chosen: NDArray[np.intp]) -> N
     count = len(chosen)
     if count < 2:
         return np.zeros((0, 2), np.intp)
-    weights = normals.weights[chosen] * data.told[chosen].all(axis=2)
-    sums = np.einsum("pn,pnc->pc", weights, data.colors[chosen])
+    colors, told = data.colors(chosen)
+    weights = normals.weights(chosen) * told.all(axis=2)
+    sums = np.einsum("pn,pnc->pc", weights, colors)
     chroma = sums / np.maximum(sums.sum(axis=1, keepdims=True), 1e-12)
     others = np.random.default_rng(0).integers(0, count - 1, (count, 12))
     first = np.arange(count)

@@ -31,6 +31,7 @@ parts of C that multiply noise.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,13 +70,17 @@ class Integrability:
 
 
 def equations(
-    vectors: Array, covariances: Array, mask: Mask, views: Array, blocks: NDArray[np.intp]
+    vectors: Array,
+    covariances: Callable[[NDArray[np.intp], NDArray[np.intp]], Array],
+    mask: Mask,
+    views: Array,
+    blocks: NDArray[np.intp],
 ) -> Integrability:
     """Equations of integrability at the pixels of a mask (H, W).
 
-    By b (H, W, 3), divided by the pixels' brightness, 0 outside the mask; covariances
-    (H, W, 3, 3) of it, up to a factor; unit vectors to the camera (H, W, 3); and the block of each
-    pixel, negative outside.
+    By b (H, W, 3), divided by the pixels' brightness, 0 outside the mask; covariances (P, 3, 3) of
+    it, up to a factor, of the pixels in some rows and columns (P,); unit vectors to the camera
+    (H, W, 3); and the block of each pixel, negative outside.
     """
     weight = gaussian_filter(mask.astype(np.float64), SMOOTHING)
     weight = np.maximum(weight, np.finfo(np.float64).tiny)
@@ -95,7 +100,7 @@ def equations(
     size = np.maximum(np.einsum("pi,pi->p", b, b), np.finfo(np.float64).tiny)
     rows /= size[:, None]
     cross = np.cross(np.eye(3), b[:, None])  # rows e_i × b, which is [b]ₓ
-    shaken = cross @ covariances[row, column] @ np.swapaxes(cross, 1, 2)
+    shaken = cross @ covariances(row, column) @ np.swapaxes(cross, 1, 2)
     shaken /= size[:, None, None] ** 2
     # A column's row of derivatives, (1, 0), (0, 1) and (x, y), by those of the others.
     by = np.stack([[1 + 0 * x, 0 * x], [0 * x, 1 + 0 * x], [x, y]])

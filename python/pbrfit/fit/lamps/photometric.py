@@ -35,7 +35,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.lamps.samples import some_of
+from pbrfit.fit.lamps.samples import Pixels, some_of
 from pbrfit.fit.sampling import slices
 from pbrfit.fit.settings import PIXELS_AT_ONCE
 from pbrfit.threads import in_pieces
@@ -72,10 +72,32 @@ class PseudoNormals:
 
     vectors: Array
     """(P, 3) b. In directions that a pixel's samples say nothing of it is 0."""
-    weights: Array
-    """(P, N) in [0, 1]: how much each sample counts; 0 in shadow."""
-    precision: Array
-    """(P, 3, 3) Σ_n w s sᵀ/σ²: inverse of b's covariance."""
+    relative: Array
+    usable: Mask
+    """(P, N) the samples, over their pixel's brightness, and which of them are usable."""
+    lamps: Array
+    """(N, 3) s."""
+    sigma: float
+    """σ of all pixels."""
+
+    def weights(self, pixels: Pixels) -> Array:
+        """(p, N) in [0, 1] of some of the pixels: how much each sample counts; 0 in shadow."""
+        predicted = self.vectors[pixels] @ self.lamps.T
+        return weights_of(self.relative[pixels], self.usable[pixels], predicted, self.sigma)
+
+    def precision(self, pixels: Pixels, inverse: Array) -> Array:
+        """(p, 3, 3): inverse of the covariance of b G, G⁻¹ (Σ_n w s sᵀ/σ²) G⁻ᵀ."""
+        of_vectors = moments(self.weights(pixels), self.lamps) / self.sigma**2
+        return np.asarray(inverse @ of_vectors @ inverse.T)
+
+    def information(self, inverse: Array, threads: int) -> Array:
+        """(P, 3) eigenvalues of that, the least first."""
+
+        def of(piece: slice) -> Array:
+            return np.asarray(np.linalg.eigvalsh(self.precision(piece, inverse)))
+
+        pieces = slices(len(self.vectors), PIXELS_AT_ONCE)
+        return np.concatenate(in_pieces(threads, of, pieces))
 
 
 def pseudo_normals(relative: Array, usable: Mask, lamps: Array, threads: int = 0) -> PseudoNormals:
@@ -92,16 +114,12 @@ def pseudo_normals(relative: Array, usable: Mask, lamps: Array, threads: int = 0
     def better(piece: slice) -> Array:
         return refined(relative[piece], usable[piece], lamps, found[piece], sigma)
 
-    def weighed(piece: slice) -> Array:
-        return weights_of(relative[piece], usable[piece], found[piece] @ lamps.T, sigma)
-
     found, sigma = np.concatenate(in_pieces(threads, best, pieces)), SCALE_START
     some = some_of(len(relative), SCALE_PIXELS)
     for _ in range(ROUNDS):
         found = np.concatenate(in_pieces(threads, better, pieces))
         sigma = scale_of(relative[some], usable[some], found[some] @ lamps.T)
-    weights = np.concatenate(in_pieces(threads, weighed, pieces))
-    return PseudoNormals(found, weights, moments(weights, lamps) / sigma**2)
+    return PseudoNormals(found, relative, usable, lamps, sigma)
 
 
 def refined(relative: Array, usable: Mask, lamps: Array, vectors: Array, sigma: float) -> Array:

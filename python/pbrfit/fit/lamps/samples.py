@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,11 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.fit.sampling import placed
-from pbrfit.fit.settings import COMPARE_PATCHES
+from pbrfit.fit.sampling import placed, slices
+from pbrfit.fit.settings import COMPARE_PATCHES, PIXELS_AT_ONCE
+from pbrfit.threads import in_pieces
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Pixels = slice | NDArray[np.intp]
+Pictures = NDArray[Any] | Sequence[NDArray[Any]]
+"""(N, H, W, C)"""
+Colors = tuple[NDArray[np.floating[Any]], Mask]
+"""(P, N, C) of some pixels, finite, and which of them are told: usable, such as not clipped."""
 
 MATT_PIXELS = 4000
 """Pixels that lamps are found from, or held against, by matt shading: N lamps of three numbers each
@@ -27,40 +34,66 @@ and the two planes that are added to it."""
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Pixels of the mask: (P, N) grey samples, what of them is usable, and their colours."""
+    """Pixels of the mask: their grey samples, and how to look at their colours."""
 
-    colors: NDArray[np.floating[Any]]
-    """(P, N, C): also those not told, such as clipped ones, and 0 for what is not finite."""
-    told: Mask
-    """(P, N, C): which of the colours are usable."""
-    grey: Array
+    colors: Callable[[Pixels], Colors]
+    """Of some of the pixels: all at once would be a second copy of the pictures."""
+    relative: Array
+    """(P, N): grey samples divided by the brightness of their pixel."""
     usable: Mask
+    """(P, N)"""
     brightness: Array
+    """(P,): the median of each pixel's samples that are not black, at least a ten-thousandth of
+    that of all pixels, which keeps black pixels finite."""
     where: tuple[NDArray[np.intp], ...]
     mask: Mask
     threads: int = 0
 
     @classmethod
-    def of(cls, samples: Array, usable: Mask, mask: Mask, threads: int = 0) -> Samples:
+    def of(cls, colors: Callable[[Pixels], Colors], mask: Mask, threads: int = 0) -> Samples:
+        """Of colours of the pixels of a mask (H, W)."""
+        where = np.nonzero(mask)
+        count, pictures = len(where[0]), colors(slice(1))[0].shape[1]
+        relative, usable = np.empty((count, pictures)), np.empty((count, pictures), bool)
+        middle = np.empty(count)
+
+        def read(piece: slice) -> None:
+            grey, used = grey_samples(*colors(piece))
+            relative[piece], usable[piece] = grey, used
+            middle[piece] = median_where(used & (grey > 0), grey)
+
+        in_pieces(threads, read, slices(count, PIXELS_AT_ONCE))
+        some = middle > 0
+        floor = 1e-4 * float(np.median(middle[some])) if some.any() else 1.0
+        brightness = np.maximum(middle, max(floor, np.finfo(np.float64).tiny))
+        relative /= brightness[:, None]
+        return cls(colors, relative, usable, brightness, where, mask, threads)
+
+    @classmethod
+    def of_pictures(
+        cls, samples: Pictures, usable: Pictures, mask: Mask, threads: int = 0
+    ) -> Samples:
         """Of pictures (N, H, W, C), in which some values are usable, of that shape."""
         if len(samples) < 3:
             raise InputError(f"pictures: expected three or more of one view, found {len(samples)}")
-        colors = np.stack([picture[mask] for picture in samples], axis=1)
-        told = np.stack([of[mask] for of in usable], axis=1) & np.isfinite(colors)
-        colors[~np.isfinite(colors)] = 0.0
-        grey, used = grey_samples(colors, told)
-        bright = brightness(grey, used)
-        return cls(colors, told, grey, used, bright, np.nonzero(mask), mask, threads)
+        places = np.flatnonzero(mask)
+
+        def at(pictures: Pictures, pixels: Pixels) -> NDArray[Any]:
+            flat = [one.reshape(-1, one.shape[-1])[places[pixels]] for one in pictures]
+            return np.stack(flat, axis=1)
+
+        def colors(pixels: Pixels) -> Colors:
+            found = at(samples, pixels)
+            told = at(usable, pixels) & np.isfinite(found)
+            found[~told] = 0.0
+            return found, told
+
+        return cls.of(colors, mask, threads)
 
     @property
     def pictures(self) -> int:
         """How many."""
-        return int(self.grey.shape[1])
-
-    @property
-    def relative(self) -> Array:
-        """Grey samples divided by the brightness of their pixel."""
-        return np.asarray(self.grey / self.brightness[:, None])
+        return int(self.relative.shape[1])
 
     def plane(self, values: NDArray[Any], outside: float) -> Array:
         """(H, W, ...) of values of pixels (P, ...)."""
@@ -90,17 +123,13 @@ class FirstShape:
     """How they were found, and what the pictures leave open."""
 
 
-def brightness(samples: Array, usable: Mask) -> Array:
-    """Brightness q (P,): the median of each pixel's samples that are not black.
-
-    At least a ten-thousandth of that of all pixels, which keeps black pixels finite.
-    """
-    lit = np.where(usable & (samples > 0), samples, np.nan)
-    some = np.isfinite(lit).any(axis=1)
-    middle = np.zeros(len(samples))
-    middle[some] = np.nanmedian(lit[some], axis=1)
-    floor = 1e-4 * float(np.median(middle[some])) if some.any() else 1.0
-    return np.maximum(middle, max(floor, np.finfo(np.float64).tiny))
+def median_where(counted: Mask, samples: Array) -> Array:
+    """(P,): the median of those of each pixel's samples (P, N) that are counted; 0 of none."""
+    count = np.count_nonzero(counted, axis=1)
+    rising = np.sort(np.where(counted, samples, np.inf), axis=1)
+    rows = np.arange(len(samples))
+    middle = (rising[rows, (count - 1) // 2] + rising[rows, count // 2]) / 2
+    return np.where(count > 0, middle, 0.0)
 
 
 def grey_samples(colors: NDArray[np.floating[Any]], told: Mask) -> tuple[Array, Mask]:

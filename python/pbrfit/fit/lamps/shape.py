@@ -8,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit.lamps.samples import FirstShape
+from pbrfit.scene.arrays import every_channel
 from pbrfit.scene.integration import depth_from_normals
 from pbrfit.scene.scene import Scene
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 FOV_MEAN, FOV_SPREAD, FOV_MAX = 10.0, 12.0, 75.0
 """Degrees of what is likely before: who takes pictures of an object stands back, and cuts out what
@@ -23,14 +25,15 @@ def first_shape(scene: Scene, threads: int = 0) -> FirstShape:
     # Here and not above: scipy would double the time of `import pbrfit`.
     from pbrfit.fit.lamps.start import start_of_known_lamps, start_of_unknown_lamps
 
-    images = np.stack([scene.picture(i, slice(None)) for i in range(len(scene.images))])
-    usable = np.broadcast_to(scene.valid[..., None], images.shape).copy()
-    if scene.weights is not None:
-        usable &= scene.weights > 0
-    images = images.astype(np.float32, copy=False)
-    images[~usable] = 0.0
-    if scene.limits is not None:
-        usable &= scene.limits == 0
+    count = range(len(scene.images))
+    images = [scene.picture(i, slice(None)).astype(np.float32, copy=False) for i in count]
+    valid = every_channel(scene.valid)
+
+    def counted(i: int) -> Mask:
+        weights = scene.channel_weights(i)
+        return valid if weights is None else valid & (weights > 0)
+
+    usable = [counted(i) for i in count]
     seen = scene if scene.fov_known else scene.through(FOV_MEAN)
     known, pictures = scene.lamps, (images, usable, scene.valid, seen.views)
     if known is not None and not known.near.any() and len(known) == len(images):

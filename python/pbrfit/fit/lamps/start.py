@@ -16,7 +16,7 @@ from pbrfit._core import InputError
 from pbrfit.fit.lamps.ambiguity import Minimum, Places, Relief, minima, unit_and_length
 from pbrfit.fit.lamps.outline import outline, rough_shape
 from pbrfit.fit.lamps.photometric import DARK, Factors, factors, pseudo_normals
-from pbrfit.fit.lamps.samples import MATT_PIXELS, FirstShape, Samples, some_of
+from pbrfit.fit.lamps.samples import MATT_PIXELS, FirstShape, Pictures, Samples, some_of
 from pbrfit.fit.lamps.surface import finished, strengths_along
 from pbrfit.fit.settings import COMPARE_PIXELS_MIN
 from pbrfit.model.geometry import angles_between
@@ -30,8 +30,8 @@ of 20 to 1."""
 
 
 def start_of_known_lamps(
-    samples: Array,
-    usable: Mask,
+    samples: Pictures,
+    usable: Pictures,
     mask: Mask,
     views: Array,
     directions: Array,
@@ -44,7 +44,8 @@ def start_of_known_lamps(
     (H, W). `views` (H, W, 3) are unit vectors to the camera; `strengths` (N,) or (N, 3); None =
     found up to a common factor. Raises InputError for fewer than three pictures.
     """
-    data, lamps = Samples.of(samples, usable, mask, threads), np.asarray(directions, np.float64)
+    data = Samples.of_pictures(samples, usable, mask, threads)
+    lamps = np.asarray(directions, np.float64)
     undetermined: tuple[str, ...] = ()
     if strengths is None:
         grey, undetermined = _strengths_of_known(data, lamps)
@@ -57,24 +58,29 @@ def start_of_known_lamps(
 
 
 def start_of_unknown_lamps(
-    samples: Array, usable: Mask, mask: Mask, views: Array, fov: float = 0.0, threads: int = 0
+    samples: Pictures,
+    usable: Pictures,
+    mask: Mask,
+    views: Array,
+    fov: float = 0.0,
+    threads: int = 0,
 ) -> FirstShape:
     """Start with lamps of which nothing is known but that there is a far one in each picture.
 
     `fov` is horizontal, in degrees; 0 = orthographic or unknown. All else as of known lamps.
     """
-    data = Samples.of(samples, usable, mask, threads)
-    least = min(3, len(data.grey))
+    data = Samples.of_pictures(samples, usable, mask, threads)
+    least = min(3, len(data.relative))
     seen = (data.usable & (data.relative >= DARK)).sum(axis=0) >= least
     if not seen.all():
         if seen.sum() < 3:
             raise InputError(
                 f"pictures: expected three or more in which a lamp is seen, found {seen.sum()}"
             )
-        some = samples[seen], usable[seen]
-        return _with_black(start_of_unknown_lamps(*some, mask, views, fov, threads), seen)
+        some, told = ([of[i] for i in np.flatnonzero(seen).tolist()] for of in (samples, usable))
+        return _with_black(start_of_unknown_lamps(some, told, mask, views, fov, threads), seen)
     rays = views if fov > 0 else np.broadcast_to([0.0, 0.0, 1.0], views.shape)
-    chosen = some_of(len(data.grey), MATT_PIXELS)
+    chosen = some_of(len(data.relative), MATT_PIXELS)
     product = factors(data.relative[chosen], data.usable[chosen])
     edge = outline(mask, views)
     if product.rank < 3:
@@ -129,7 +135,7 @@ def _start_of_few(data: Samples, views: Array, product: Factors) -> FirstShape:
 
 def _strengths_of_known(data: Samples, lamps: Array) -> tuple[Array, tuple[str, ...]]:
     """Strengths (N,) of lamps with known directions; equal ones, with a word, if nothing tells."""
-    chosen = some_of(len(data.grey), MATT_PIXELS)
+    chosen = some_of(len(data.relative), MATT_PIXELS)
     product = factors(data.relative[chosen], data.usable[chosen])
     found = strengths_along(product.lamps, lamps) if product.rank == 3 else None
     if found is None:

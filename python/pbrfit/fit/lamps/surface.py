@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit.lamps.ambiguity import KNOWN_MIN, unit_and_length
 from pbrfit.fit.lamps.photometric import PseudoNormals
-from pbrfit.fit.lamps.samples import FirstShape, Samples, some_of
+from pbrfit.fit.lamps.samples import FirstShape, Pixels, Samples, some_of
 from pbrfit.fit.sampling import slices
 from pbrfit.fit.settings import PIXELS_AT_ONCE
 from pbrfit.model.materials import nearest_inside
@@ -36,43 +36,47 @@ def finished(
     samples it is normal about that one, with a precision that is a small part of what pixels know
     on the whole.
     """
-    inverse = np.linalg.inv(G)
-    precision = inverse @ found.precision @ inverse.T
+    inverse: Array = np.linalg.inv(G).astype(np.float64)
     vectors = found.vectors @ G
     unit, length = unit_and_length(vectors)
-    information = np.linalg.eigvalsh(precision)
+    information = found.information(inverse, data.threads)
     # Where lamps lie in a plane no sample tells the third part: the least that is told counts.
     medians = np.median(information, axis=0)
     told = medians[medians > 1e-6 * medians[2]]
     lean = KNOWN_MIN * float(told[0]) if len(told) else 1.0
     known = information[:, 0] > lean
     if not known.all():
-        certain = known if known.any() else np.ones_like(known)
+        others, certain = np.flatnonzero(~known), known if known.any() else ~known
         if rough is None:
             nearest = nearest_inside(data.plane(certain, 0.0).astype(bool))
             rough = data.plane(unit, 0.0)[nearest]
-        expected = float(np.median(length[certain])) * rough[data.where]
-        right = np.einsum("pij,pj->pi", precision, vectors) + lean * expected
-        leaning = np.linalg.solve(precision + lean * np.eye(3), right[..., None])[..., 0]
-        vectors = np.where(known[:, None], vectors, leaning)
+        expected = float(np.median(length[certain])) * rough[data.where][others]
+        precision = found.precision(others, inverse)
+        right = np.einsum("pij,pj->pi", precision, vectors[others]) + lean * expected
+        vectors[others] = np.linalg.solve(precision + lean * np.eye(3), right[..., None])[..., 0]
     unit, _ = unit_and_length(vectors)
     unit[~unit.any(axis=1)] = 0.0, 0.0, 1.0  # neither the pixel nor a neighbour tells anything
     directions, strengths = unit_and_length(lamps)
 
-    def shaded(pixels: slice | NDArray[np.intp]) -> tuple[Array, Array, Array]:
+    def shaded(pixels: Pixels) -> tuple[Array, Array, Array]:
         """Colours, shading, and the weights of both."""
+        colors, told = data.colors(pixels)
         # Pixels of which no sample follows the law have an albedo all the same.
-        weights = np.maximum(found.weights[pixels], 1e-6)[..., None] * data.told[pixels]
+        weights = np.maximum(found.weights(pixels), 1e-6)[..., None] * told
         shading = np.maximum(unit[pixels] @ directions.T, 0.0)
-        return data.colors[pixels].astype(np.float64), shading, weights
+        return colors.astype(np.float64), shading, weights
 
     colors = strengths_of_channels(*shaded(some_of(len(unit), 20_000)), strengths)
-    pieces = slices(len(unit), PIXELS_AT_ONCE)
-    parts = in_pieces(data.threads, lambda piece: _albedo(*shaded(piece), colors), pieces)
-    albedos = np.concatenate(parts)
+    albedo = np.full((*data.mask.shape, 3), np.nan)
+
+    def fill(piece: slice) -> None:
+        row, column = (of[piece] for of in data.where)
+        albedo[row, column] = _albedo(*shaded(piece), colors)
+
+    in_pieces(data.threads, fill, slices(len(unit), PIXELS_AT_ONCE))
     return FirstShape(
         normals=data.plane(unit, np.nan),
-        albedo=data.plane(np.broadcast_to(albedos, (len(unit), 3)), np.nan),
+        albedo=albedo,
         directions=directions,
         strengths=np.broadcast_to(colors, (len(colors), 3)),
         undetermined=undetermined,

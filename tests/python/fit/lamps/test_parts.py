@@ -26,7 +26,10 @@ def test_normals_of_a_surface_fulfil_the_equations_of_integrability(fov: float) 
     vectors = scene.normals @ np.linalg.inv(G)
     C = np.linalg.inv(G).T * np.linalg.det(G)
     blocks = np.zeros(scene.mask.shape, np.intp)
-    covariances = np.broadcast_to(np.eye(3), (*scene.mask.shape, 3, 3))
+
+    def covariances(row: np.ndarray, _: np.ndarray) -> np.ndarray:
+        return np.broadcast_to(np.eye(3), (len(row), 3, 3))
+
     found = equations(vectors, covariances, scene.mask, scene.views, blocks)
 
     def ratio(C: np.ndarray) -> float:
