@@ -155,9 +155,8 @@ def decompose_scene(
             with step("alignment"):
                 scene = aligned(scene, stop=lambda: time.monotonic() >= end)
             heartbeat.step()
-        result = decompose(
-            scene, task.options, threads=task.threads or threads, progress=wanted.show
-        )
+        threads = task.threads or threads
+        result = decompose(scene, task.options, threads=threads, progress=wanted.show)
         heartbeat.step()
         with step("writing"):
             scene = result.as_fitted(scene)  # once for all, and other pictures are let go

@@ -33,7 +33,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pbrfit.fit.lamps.given_normals import TINY
-from pbrfit.fit.lamps.outline import outline
 from pbrfit.fit.lamps.photometric import DARK, ROUNDS, factors, pseudo_normals, solved
 from pbrfit.fit.lamps.problem import LampPixels
 from pbrfit.fit.lamps.samples import MATT_PIXELS, Samples
@@ -49,6 +48,7 @@ from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import DEFAULT_MODEL, Model, sh_basis
 from pbrfit.scene.arrays import consecutive_labels
 from pbrfit.scene.depth import DISAGREEMENT_MIN, compared
+from pbrfit.scene.outline import outline
 from pbrfit.scene.scene import Scene
 
 Array = NDArray[np.float64]

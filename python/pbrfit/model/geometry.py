@@ -53,26 +53,19 @@ def views_at(size: tuple[int, int], fov: float, columns: Any, rows: Any) -> NDAr
     return np.stack([-x / length, -y / length, 1 / length], axis=-1)
 
 
-def positions(depth: NDArray[Any], fov: float) -> NDArray[np.float64]:
+def positions(depth: NDArray[Any], fov: float, rows: slice = slice(None)) -> NDArray[np.float64]:
     """Points that pixels show, from their depth (height, width) along the camera's axis.
 
-    Returns (height, width, 3) float64, camera space, in the unit of the depth, with an orthographic
-    camera half of the picture's width: the camera is the origin, and z = −depth. NaN where depth
-    is. Raises InputError if fov, in degrees, is outside [0, 180).
+    Returns (height, width, 3) float64, or some rows, camera space, in the unit of the depth, with
+    an orthographic camera half of the picture's width: the camera is the origin, and z = −depth.
+    NaN where depth is. Raises InputError if fov, in degrees, is outside [0, 180).
     """
     check_fov(fov)
-    rows, columns = np.ogrid[: depth.shape[0], : depth.shape[1]]
-    return positions_at(depth, fov, columns, rows)
-
-
-def positions_at(depth: NDArray[Any], fov: float, columns: Any, rows: Any) -> NDArray[np.float64]:
-    """Those points (..., 3) of some columns and rows (...)."""
-    height, width = depth.shape
-    there = np.asarray(depth, np.float64)[rows, columns]
-    x = (2 * np.asarray(columns) + 1 - width) / width
-    y = (height - 1 - 2 * np.asarray(rows)) / width
-    scale = np.ones(there.shape) if fov == 0 else math.tan(math.radians(fov) / 2) * there
-    return np.stack([x * scale, y * scale, -there], axis=-1)
+    (height, width), there = depth.shape, np.asarray(depth[rows], np.float64)
+    x = (2 * np.arange(width) + 1 - width) / width
+    y = (height - 1 - 2 * np.arange(height)[rows]) / width
+    scale = 1.0 if fov == 0 else math.tan(math.radians(fov) / 2) * there
+    return np.stack([x * scale + 0 * there, y[:, None] * scale, -there], axis=-1)
 
 
 def check_fov(fov: float) -> None:

@@ -15,7 +15,7 @@ from pbrfit.report.html import Cell, Table, heads, number
 from pbrfit.report.lights import Light
 from pbrfit.report.notation import percent, plain
 from pbrfit.result import differences, metrics
-from pbrfit.result.differences import Difference
+from pbrfit.result.differences import Difference, Map
 from pbrfit.result.relighting import relight
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
@@ -89,7 +89,7 @@ def examine(result: Result, scene: Scene | None, side: int) -> list[Picture]:
         counted = result.mask if weights is None else result.mask & (weights > 0).any(axis=-1)
         residual = differences.residual(rendered, image, weights)
         fit = Fit(
-            *_errors(rendered, image, weights, residual),
+            *_errors(rendered, image, weights),
             high=float(np.percentile(residual.values[counted], HIGH)),
             left_out=1 - np.count_nonzero(counted) / np.count_nonzero(result.mask),
         )
@@ -101,28 +101,18 @@ def examine(result: Result, scene: Scene | None, side: int) -> list[Picture]:
     return in_pieces(0, one, range(len(result.pictures)))
 
 
-def _errors(
-    rendered: NDArray[np.float64],
-    image: NDArray[np.floating[Any]],
-    weights: NDArray[np.floating[Any]] | None,
-    residual: Difference,
-) -> tuple[float, float]:
+def _errors(rendered: Map, image: Map, weights: Map | None) -> tuple[float, float]:
     """Root mean square of a picture and of its residual."""
-    if weights is not None:
-        sums = np.zeros(3)
-        for first in range(0, len(image), differences.ROWS):
-            rows = slice(first, first + differences.ROWS)
-            counts = np.where(np.isfinite(rendered[rows]), weights[rows], np.float64(0))
-            shown = np.where(counts > 0, image[rows], np.float64(0))
-            error = np.where(counts > 0, rendered[rows], 0.0) - shown
-            squares = (np.einsum("hwc,hwc,hwc->", counts, of, of) for of in (shown, error))
-            sums += counts.sum(), *squares
-        rms, rmse = np.sqrt(sums[1:] / sums[0]).tolist()
-        return rms, rmse
-    # Without weights the map of the residual has all that it takes.
-    inside = np.isfinite(residual.values)
-    rms = differences.rms(image[inside])
-    return rms, rms * float(np.sqrt(np.mean(np.square(residual.values[inside]))))
+    sums = np.zeros(3)
+    for first in range(0, len(image), differences.ROWS):
+        rows = slice(first, first + differences.ROWS)
+        counts = np.isfinite(rendered[rows]) * (1.0 if weights is None else weights[rows])
+        shown = np.where(counts > 0, image[rows], np.float64(0))
+        error = np.where(counts > 0, rendered[rows], 0.0) - shown
+        squares = (np.einsum("hwc,hwc,hwc->", counts, of, of) for of in (shown, error))
+        sums += counts.sum(dtype=np.float64), *squares
+    rms, rmse = np.sqrt(sums[1:] / sums[0]).tolist()
+    return rms, rmse
 
 
 def table(pictures: Sequence[Picture]) -> Table:

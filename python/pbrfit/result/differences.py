@@ -156,11 +156,6 @@ def turned(degrees: Map) -> Difference:
     return Difference(np.radians(degrees), white=degrees < CHANGE_DEGREES_MIN)
 
 
-def rms(values: Map) -> float:
-    """Root mean square; 1 where all are 0, to be divided by."""
-    return float(np.sqrt(np.mean(np.square(values, dtype=np.float64)))) or 1.0
-
-
 def errors(found: Materials, true: Materials) -> dict[str, Difference]:
     """Absolute errors of the maps by name; of albedo the root mean square over channels."""
     error = Materials(

@@ -34,7 +34,6 @@ with multigrid as preconditioner, in a number of steps that does not depend on t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -46,6 +45,7 @@ from pbrfit.model import geometry
 from pbrfit.scene.depth import without_holes
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 DEPTH_WEIGHT = 4.0
 """λ of depth that is off by half as much, relatively, as normals are in radians: 5 %, 6 degrees."""
@@ -106,7 +106,7 @@ def depth_from_normals(
     if not known.any():
         raise InputError("normals: expected some in the mask, found none")
     unit: Array = np.where(known[..., None], normals, 0.0).astype(np.float64)
-    pairs = _Pairs.of(unit, known, fov, segments)
+    pairs = _Pairs(unit, known, fov, segments)
 
     given, data = np.zeros((2, *shape))  # data is λ/p² where depth is given
     if depth is not None:
@@ -115,7 +115,7 @@ def depth_from_normals(
         told = np.isfinite(given) & wanted
         data[told] = DEPTH_WEIGHT / pairs.pixels_per_unit**2
         given = np.where(told, given, 0.0)
-    plane, weights = given, pairs.reweighted(given, data > 0)
+    plane, weights = given, pairs.reweighted(np.where(data > 0, given, np.nan))
     for tolerance in (*[ROUGH_TOLERANCE] * (ROUNDS - 1), TOLERANCE):
         left = (weights * pairs.left(plane) ** 2).sum() + (data * (plane - given) ** 2).sum()
         enough = tolerance**2 * left
@@ -135,72 +135,49 @@ PAIRS: tuple[tuple[Any, Any], ...] = (np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1],
 """Where the first of two neighbours is, and the second: to its right, below it."""
 
 
-@dataclass(frozen=True, eq=False)
 class _Pairs:
-    """(2, H, W) by the first of a pair, with its right and its lower neighbour; 0 where none is."""
+    """Pairs of neighbours: (2, H, W) by the first, with its right and its lower one; 0 of none."""
 
-    differences: Array
-    """g: what normals say of the second's unknown minus the first's."""
-    weights: Array
-    """w, before residuals are looked at."""
-    certain: NDArray[np.bool_]
-    """Whether both have normals and lie in one segment."""
-    pixels_per_unit: float
-    """p."""
-
-    @classmethod
-    def of(
-        cls,
-        normals: Array,
-        known: NDArray[np.bool_],
-        fov: float,
-        segments: NDArray[np.integer[Any]] | None,
-    ) -> _Pairs:
-        """Of all neighbours in a picture."""
+    def __init__(self, normals: Array, known: Mask, fov: float, segments: Any) -> None:
         shape = height, width = known.shape
-        half_width = 1.0 if fov == 0 else math.tan(math.radians(fov) / 2)
+        self.pixels_per_unit = width / (2 if fov == 0 else 2 * math.tan(math.radians(fov) / 2))
+        """p"""
+        self.differences, self.weights = np.zeros((2, 2, *shape))
+        """g, what normals say of the second's unknown minus the first's; w without residuals."""
+        self.certain = np.zeros((2, *shape), bool)
+        """Whether both have normals and lie in one segment."""
         rays = geometry.positions(np.ones(shape), fov)
         cosine = np.einsum("hwi,hwi->hw", normals, geometry.view_directions(height, width, fov))
         cosine = np.clip(cosine, COSINE_MIN, 1.0)
-        differences, weights = np.zeros((2, 2, *shape))
-        certain = np.zeros((2, *shape), bool)
         for k, (a, b) in enumerate(PAIRS):
             both = known[a] & known[b]
+            one = both if segments is None else both & (segments[a] == segments[b])
             step = rays[b] - rays[a]
             middle = (rays[a] + rays[b]) / 2
             change = _half(normals[a], rays[a], middle, step, fov, 1)
             change += _half(normals[b], rays[b], middle, step, fov, -1)
-            differences[k][a] = np.where(both, change, 0.0)
+            self.differences[k][a] = np.where(both, change, 0.0)
             # cos⁴ θ of the more slanted of the two.
-            slanted = np.minimum(cosine[a], cosine[b]) ** 4
-            weights[k][a] = np.where(both, slanted, BRIDGE_WEIGHT)
-            certain[k][a] = both
-            if segments is not None:
-                border = segments[a] != segments[b]
-                weights[k][a][border & both] *= BORDER_WEIGHT
-                certain[k][a][border] = False
-        return cls(differences, weights, certain, width / (2 * half_width))
+            slanted = np.minimum(cosine[a], cosine[b]) ** 4 * np.where(one, 1.0, BORDER_WEIGHT)
+            self.weights[k][a] = np.where(both, slanted, BRIDGE_WEIGHT)
+            self.certain[k][a] = one
 
     def left(self, unknown: Array) -> Array:
         """What the unknowns (H, W) differ by, less what normals say."""
         left = -self.differences
         for residual, (a, b) in zip(left, PAIRS, strict=True):
             residual[a] += unknown[b] - unknown[a]
-        return left
+        return np.asarray(left)
 
-    def reweighted(self, unknown: Array, told: NDArray[np.bool_] | None = None) -> Array:
-        """Weights by residuals; those between pixels that are not `told` stay as they are."""
+    def reweighted(self, unknown: Array) -> Array:
+        """Weights by residuals; those between pixels that are unknown stay as they are."""
         # Radians for surfaces that face the camera, in standard deviations that are equal for all,
         # as weights of slanted surfaces are small.
         residual = np.sqrt(self.weights) * (self.pixels_per_unit * self.left(unknown))
-        looked_at = np.ones(residual.shape, bool)
-        if told is not None:
-            for of_pair, (a, b) in zip(looked_at, PAIRS, strict=True):
-                of_pair[a] = told[a] & told[b]
-        some = np.abs(residual[self.certain & looked_at])
+        some = np.abs(residual[self.certain & np.isfinite(residual)])
         middle = float(np.median(some)) if some.size else 0.0
         scale = max(NORMAL_ERROR_MIN, RESIDUAL_SCALE * middle)
-        return np.where(looked_at, self.weights / (1.0 + (residual / scale) ** 2), self.weights)
+        return np.asarray(self.weights / (1.0 + np.nan_to_num(residual / scale) ** 2))
 
     def flows(self, weights: Array) -> Array:
         """(H, W): weighted differences that lead to a pixel, less those that lead away."""

@@ -27,11 +27,11 @@ from scipy.optimize import minimize
 from scipy.special import expit
 
 from pbrfit.fit.lamps.integrability import Integrability, equations
-from pbrfit.fit.lamps.outline import Outline
 from pbrfit.fit.lamps.photometric import PseudoNormals
 from pbrfit.fit.lamps.sample_noise import RELATIVE_MIN
 from pbrfit.fit.lamps.samples import BAS_RELIEF, Samples, blocks_of, some_of
 from pbrfit.fit.sampling import pixel_index
+from pbrfit.scene.outline import Outline
 
 Array = NDArray[np.float64]
 

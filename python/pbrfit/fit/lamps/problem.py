@@ -22,7 +22,7 @@ from pbrfit import _core
 from pbrfit.fit.noise import satisfied
 from pbrfit.fit.sampling import slices
 from pbrfit.fit.settings import MEAN_RADIANCE, PIXELS_AT_ONCE
-from pbrfit.model.geometry import positions_at, views_at
+from pbrfit.model.geometry import positions, views_at
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import Model
 from pbrfit.scene.scene import Scene
@@ -95,7 +95,8 @@ class LampPixels:
             labels = scene.label_map.ravel()[places].astype(np.intp)
         points = None
         if scene.depth is not None:
-            found = positions_at(scene.depth, scene.fov, columns, rows)
+            slab = slice(int(rows.min()), int(rows.max()) + 1)
+            found = positions(scene.depth, scene.fov, slab)[rows - slab.start, columns]
             points = found if np.isfinite(found).all() else None
         return cls(
             samples / scale,

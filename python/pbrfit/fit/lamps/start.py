@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.fit.lamps.ambiguity import Minimum, Places, Relief, minima, unit_and_length
-from pbrfit.fit.lamps.outline import outline, rough_shape
 from pbrfit.fit.lamps.photometric import DARK, Factors, factors, pseudo_normals
 from pbrfit.fit.lamps.samples import MATT_PIXELS, FirstShape, Pictures, Samples, some_of
 from pbrfit.fit.lamps.surface import finished, strengths_along
 from pbrfit.fit.settings import COMPARE_PIXELS_MIN
 from pbrfit.model.geometry import angles_between
+from pbrfit.scene.outline import outline, rough_shape
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
