@@ -1,4 +1,4 @@
-"""Fixtures of all tests: where shared data lies, and fits without a comparison."""
+"""Fixtures of all tests: where shared data lies, a scene folder, fits without a comparison."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import os
 from pathlib import Path
 
 import pytest
+
+from scene_files import write_folder
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -17,6 +19,12 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip("no shared data: set PBRFIT_DATA")
     return folder
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder of a room's pictures in float EXR, with normals and its field of view."""
+    return write_folder(tmp_path / "scene")
 
 
 @pytest.fixture

@@ -6,8 +6,12 @@ import base64
 import io
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
+from pathlib import Path
 
 from PIL import Image
+
+from pbrfit import Result, Scene
+from pbrfit.report import write_report
 
 VOID = {"br", "img", "input", "link", "meta", "hr"}
 
@@ -77,6 +81,12 @@ class Page(HTMLParser):
         """Decode the picture inside the page with this text."""
         [found] = [e for e in self.all("img") if e.attributes["alt"] == alt]
         return decoded(found)
+
+
+def written(result: Result, path: Path, scene: Scene | Path | None = None) -> Page:
+    """The page about a result, written to a file and read."""
+    write_report(result, path, scene, overwrite=True)
+    return Page(path.read_text("utf-8"))
 
 
 def decoded(element: Element) -> Image.Image:

@@ -28,18 +28,8 @@ from scene_files import FORMATS, LIGHTS, SIZE, room, run, write_folder
 FEW = ("--iterations", 0)
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    return write_folder(tmp_path / "scene")
-
-
 def outcome(out: Path) -> Any:
     return json.loads((out / "result.json").read_text("utf-8"))
-
-
-def without_priors(left_out: list[str]) -> list[str]:
-    """Beside priors and lamps, which depend on the lights that were found."""
-    return [entry for entry in left_out if not entry.startswith(("prior", "surroundings", "lamps"))]
 
 
 @pytest.mark.parametrize("form", ["float EXR", "JPEG"])
@@ -111,7 +101,8 @@ def test_what_is_asked_for_is_done_and_told(
     said = done("decompose", folder, "--out", out, *FEW, *arguments, "--verbose")
     facts = outcome(out)
     assert options.items() <= facts["options"].items()
-    assert without_priors(facts["left_out"]) == left_out
+    by_lights = ("prior", "surroundings", "lamps")  # depend on the lights that were found
+    assert [one for one in facts["left_out"] if not one.startswith(by_lights)] == left_out
     assert ("priors: none asked for" in facts["left_out"]) == ("--no-priors" in arguments)
     assert all(f"\nleft out: {entry}\n" in said for entry in facts["left_out"])
     assert all(f" s  {stage['name']}" in said for stage in facts["stages"])

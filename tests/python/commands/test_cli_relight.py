@@ -101,14 +101,12 @@ def test_a_hard_light_as_linear_exr(room: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(np.ravel(header["chromaticities"])[:2], [0.64, 0.33], rtol=1e-6)
 
 
-def test_surroundings_throw_shadows_unless_told_otherwise(tmp_path: Path) -> None:
-    shaded_ball().save(tmp_path / "result")
-    loaded = Result.load(tmp_path / "result")
+def test_surroundings_throw_shadows_unless_told_otherwise(deep: Path, tmp_path: Path) -> None:
+    loaded = Result.load(deep)
     found = {}
     for flags in ((), ("--no-shadows",)):
-        arguments = (tmp_path / "result", "--light", "-80,45", *flags)
         out = tmp_path / f"{len(flags)}.exr"
-        text = done("relight", *arguments, "--out", out)
+        text = done("relight", deep, "--light", "-80,45", *flags, "--out", out)
         assert ("triangles" in said(text)["shadows"]) == (not flags)
         found[flags] = exr(out)
         expected = relight(loaded, DirectionalLight(-80, 45), shadows=not flags)
@@ -269,10 +267,6 @@ def of_lights(**changes: Any) -> Callable[[Path], None]:
     return make
 
 
-def square_sky(path: Path) -> None:
-    write_exr(path, np.ones((8, 8, 3)))
-
-
 SHORT = np.zeros((2, 9, 3)).tolist()
 
 
@@ -284,7 +278,11 @@ SHORT = np.zeros((2, 9, 3)).tolist()
         (of_lights(order=2), (), "of order 3, found"),
         (of_lights(coefficients=SHORT), (), "expected coefficients of shape (2, 16, 3)"),
         (of_lights(coefficients=[[[1]], []]), (), "expected JSON with basis, order, pictures"),
-        (square_sky, None, "expected a panorama twice as wide as high (equirectangular)"),
+        (
+            lambda path: write_exr(path, np.ones((8, 8, 3))),
+            None,
+            "expected a panorama twice as wide as high (equirectangular)",
+        ),
     ],
 )
 def test_unusable_lights(

@@ -15,7 +15,7 @@ from pbrfit import Scene
 from pbrfit.io.images import read_data
 from pbrfit.model.geometry import angles_between
 from pbrfit.scene.ball import Ball
-from scene_files import known, write_exr, write_folder
+from scene_files import known, write_exr
 
 SIZE = (90, 120)
 BALL = Ball(62.0, 41.0, 24.0)
@@ -31,11 +31,6 @@ def with_ball(folder: Path, kind: str = "matt") -> Path:
         write_exr(folder / "images" / f"light_{i:02d}.exr", image)
     (folder / "scene.toml").write_text("fov = 60\n")
     return folder
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    return write_folder(tmp_path / "scene")
 
 
 @pytest.mark.parametrize("kind", ["matt", "mirror"])

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from command_runs import done, refused
 from pbrfit import FitOptions, InputError, Priors, Scene, decompose
-from pbrfit.cli import main
 from pbrfit.fit.estimates import (
     ALBEDO_SIGMA,
     DARKEST,
@@ -174,36 +174,34 @@ def test_estimates_that_are_none_are_refused() -> None:
         replace(scene, estimates=constant(np.nan, 40))
 
 
-def test_maps_by_their_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_maps_by_their_names(tmp_path: Path) -> None:
     room().save(tmp_path / "scene")
     maps = tmp_path / "maps"
     maps.mkdir()
     large = np.full((80, 80), 51, np.uint8)
     images.write_png(maps / "Wall_BaseColor.png", np.stack([large] * 3, axis=-1), tag="srgb")
     images.write_png(maps / "wall_rough.png", large, tag=None)
-    command = ["maps", str(tmp_path / "scene"), "--from"]
-    assert main([*command, *map(str, sorted(maps.iterdir()))]) == 0
-    assert "albedo 0.03, roughness 0.20 in the mean" in capsys.readouterr().out
+    command = ("maps", tmp_path / "scene", "--overwrite", "--from")
+    said = done("maps", tmp_path / "scene", "--from", *sorted(maps.iterdir()))
+    assert "albedo 0.03, roughness 0.20 in the mean" in said
     found = known(Scene.load(tmp_path / "scene").estimates)
     np.testing.assert_allclose(found.roughness, 0.2, atol=1e-6)
     np.testing.assert_allclose(found.albedo, 0.0331, atol=1e-4)
     assert np.isnan(found.metallic).all()
     true = tmp_path / "scene" / "truth" / "materials.exr"  # a result's would do, too
-    assert main([*command, str(true), "--quiet", "--overwrite"]) == 0
+    done(*command, true, "--quiet")
     np.testing.assert_allclose(
         known(Scene.load(tmp_path / "scene").estimates).roughness[20],
         known(room().truth).materials.roughness[20],
         atol=1e-6,
     )
-    assert main([*command, str(maps / "wall_rough.png")]) == 2
-    assert "expected no estimates yet, found some" in capsys.readouterr().err
+    again = refused("maps", tmp_path / "scene", "--from", maps / "wall_rough.png")
+    assert "expected no estimates yet, found some" in again
     images.write_png(maps / "other.png", large, tag=None)
-    assert main([*command, str(maps / "other.png"), "--overwrite"]) == 2
-    assert "in each file's name, found none" in capsys.readouterr().err
+    assert "in each file's name, found none" in refused(*command, maps / "other.png")
     images.write_png(maps / "metal.png", large[:30], tag=None)
-    assert main([*command, str(maps / "metal.png"), "--overwrite"]) == 2
-    assert "expected the pictures' size, 40 × 40 pixels" in capsys.readouterr().err
-    assert main([*command, "marigold", "--overwrite"]) == 2
-    assert "expected marigold-iid or files" in capsys.readouterr().err
-    assert main([*command, str(maps / "wall_rough.png"), "--overwrite", "--seed", "1"]) == 2
-    assert "--seed: has no meaning with --from" in capsys.readouterr().err
+    said = refused(*command, maps / "metal.png")
+    assert "expected the pictures' size, 40 × 40 pixels" in said
+    assert "expected marigold-iid or files" in refused(*command, "marigold")
+    said = refused(*command, maps / "wall_rough.png", "--seed", 1)
+    assert "--seed: has no meaning with --from" in said

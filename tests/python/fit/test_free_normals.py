@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import pbrfit
 import reference
@@ -16,26 +15,11 @@ from pbrfit.fit.objective import Objective
 from pbrfit.synthetic import make_scene
 from scene_files import truth_of
 
-Array = NDArray[np.float64]
-
 OPTIONS: list[dict[str, Any]] = [{}, {"metallic": 0.0}, {"sh_order": 2, "mono_light": True}]
 
 
 def room(**options: Any) -> pbrfit.Scene:
     return make_scene("room", size=24, lights=6, **options)
-
-
-def changed_scene(scene: pbrfit.Scene, offsets: Array) -> pbrfit.Scene:
-    """The same pictures with normals changed by tangent offsets (2, P)."""
-    normals = np.array(scene.normals, dtype=np.float64)
-    normals[scene.valid] = reference.turned(normals[scene.valid], offsets)
-    return dataclasses.replace(scene, normals=normals)
-
-
-def offsets_between(given: Array, wanted: Array) -> Array:
-    """Tangent offsets (2, P) of other normals (P, 3): parts along the tangents over n₀'s."""
-    along = np.sum(wanted * given, axis=-1)
-    return np.stack([np.sum(wanted * t, axis=-1) / along for t in reference.tangents(given)])
 
 
 @pytest.mark.parametrize("options", OPTIONS, ids=str)
@@ -61,17 +45,20 @@ def test_the_start_has_the_given_normals(options: dict[str, Any]) -> None:
 def test_the_tangent_offsets_to_the_true_normals_explain_the_pictures() -> None:
     scene = room()
     rng = np.random.default_rng(1)
-    given = np.asarray(scene.normals, dtype=np.float64)[scene.valid]
-    disturbed = changed_scene(scene, 0.2 * rng.normal(size=(2, len(given))))
+    normals = np.array(scene.normals, dtype=np.float64)
+    true = normals[scene.valid]
+    normals[scene.valid] = reference.turned(true, 0.2 * rng.normal(size=(2, len(true))))
+    disturbed = dataclasses.replace(scene, normals=normals)
     objective = Objective(disturbed, free_normals=True)
     materials = truth_of(scene).materials
     x = objective.pack(
         materials.albedo, materials.roughness, materials.metallic, truth_of(scene).lighting
     )
     wrong, gradient = objective.value_and_grad(x)
-    x[objective.tangent_offsets] = offsets_between(
-        np.asarray(disturbed.normals, dtype=np.float64)[scene.valid], given
-    ).ravel()
+    # Tangent offsets are the true normals' parts along the tangents over that along n₀.
+    given = np.asarray(disturbed.normals, dtype=np.float64)[scene.valid]
+    parts = [np.sum(true * axis, axis=-1) for axis in reference.tangents(given)]
+    x[objective.tangent_offsets] = np.ravel(parts / np.sum(true * given, axis=-1))
     right, _ = objective.value_and_grad(x)
     assert right < 1e-9 < 1e-4 < wrong
     assert np.abs(gradient[objective.tangent_offsets]).max() > 0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from typing import Any
 
 import numpy as np
 import pytest
@@ -27,18 +26,14 @@ def room(model: Model) -> Scene:
     return make_scene("room", size=8, lights=4, held_out=1, noise=0.02, seed=5, model=model)
 
 
-def objective_of(kind: str, model: Model, **options: Any) -> Objective:
-    changed, own = of_kind(room(model), kind)
-    return Objective(changed, priors=PRIORS, model=model, **own, **options)
-
-
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("free_normals", [False, True])
 @pytest.mark.parametrize("kind", ALL_KINDS)
 def test_the_gradient_agrees_with_finite_differences(
     kind: str, free_normals: bool, model: Model
 ) -> None:
-    objective = objective_of(kind, model, free_normals=free_normals)
+    scene, own = of_kind(room(model), kind)
+    objective = Objective(scene, priors=PRIORS, model=model, free_normals=free_normals, **own)
     checks = check_gradients(objective, seed=1)
     expected = {"albedo", "roughness"}
     expected |= {"metallic"} if objective.known_metallic is None else set()

@@ -61,6 +61,13 @@ def scene_of(size: int, pictures: int) -> pbrfit.Scene:
     return pbrfit.Scene(images=images, normals=normals, fov=30.0)
 
 
+def taken_and_said(script: str, *arguments: str) -> tuple[int, int]:
+    """The two numbers that a process of its own prints."""
+    command = [sys.executable, "-c", script, *arguments]
+    found = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
+    return int(found[0]), int(found[1])
+
+
 def needed_by(scene: pbrfit.Scene, solver: Solver = "gauss-newton", **way: Any) -> FitMemory:
     layout = ParameterLayout.of(scene)
     return memory.of_fit(layout, solver, held=memory.bytes_of(scene), **way)
@@ -227,13 +234,7 @@ print(1024 * (peak_kib() - before), said.tables)
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not tell the peak")
 def test_tables_of_surroundings_take_what_is_said() -> None:
-    run = subprocess.run(
-        [sys.executable, "-c", TABLES, "bounce", "principled"],
-        check=True,
-        capture_output=True,
-        text=True,
-    )
-    taken, said = map(int, run.stdout.split())
+    taken, said = taken_and_said(TABLES, "bounce", "principled")
     assert 0.8 * said < taken < 1.25 * said
 
 
@@ -297,8 +298,5 @@ class TestPrediction:
         ids=" ".join,
     )
     def test_covers_what_a_process_takes(self, arguments: tuple[str, ...]) -> None:
-        done = subprocess.run(
-            [sys.executable, "-c", FIT, *arguments], check=True, capture_output=True, text=True
-        )
-        taken, said = map(int, done.stdout.split())
+        taken, said = taken_and_said(FIT, *arguments)
         assert 0.7 * said < taken <= said

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 import pbrfit
 from pbrfit import Objective, Priors, Result, Scene
-from pbrfit.fit.coarse import Lights, judged
+from pbrfit.fit.coarse import judged
 from pbrfit.fit.pixels import fit_all
 from pbrfit.fit.priors import posterior
 from pbrfit.fit.priors.gaussian import GaussianPrior
@@ -29,14 +29,6 @@ def room() -> Scene:
     return make_scene("room", size=18, lights=8, noise=0.01, seed=2000, held_out=4)
 
 
-def some_point(objective: Objective, rng: np.random.Generator) -> Array:
-    """A point inside the bounds, not a minimum."""
-    x = objective.start()
-    maps = objective.layout.maps
-    x[maps] = np.clip(x[maps] + rng.normal(0, 0.1, maps.stop), 0.02, 0.98)
-    return x
-
-
 def some_prior(
     objective: Objective, pixels: Pixels, rng: np.random.Generator, clusters: int = 4
 ) -> GaussianPrior:
@@ -51,7 +43,8 @@ def test_the_prior_has_the_right_gradient(room: Scene) -> None:
     objective = Objective(room)
     rng = np.random.default_rng(5)
     with_offsets = some_prior(objective, all_pixels(objective), rng, 7)
-    x = some_point(objective, rng)
+    x, maps = objective.start(), objective.layout.maps
+    x[maps] = np.clip(x[maps] + rng.normal(0, 0.1, maps.stop), 0.02, 0.98)  # not a minimum
     for cluster in (with_offsets.cluster, None):
         prior = dataclasses.replace(with_offsets, cluster=cluster, factor=0.3)
         gradient = np.zeros(objective.size)
@@ -108,17 +101,12 @@ def test_segments_that_are_a_pixel_off_bend_no_lights() -> None:
         assert off[name] < 1.5 * true[name] + 0.005, name
 
 
-def by_squares(objective: Objective) -> tuple[Array, Lights]:
-    """X with all materials at their best under the lights of the start, and what that leaves."""
-    x = objective.start()
-    fit_all(objective, x, starts=2)
-    return x, judged(objective, x)
-
-
 @pytest.mark.parametrize("looks", [0, 2, 4, 5])
 def test_time_may_run_out_before_all_pixels_have_a_prior(room: Scene, looks: int) -> None:
     objective = Objective(room)
-    x, lights = by_squares(objective)
+    x = objective.start()
+    fit_all(objective, x, starts=2)
+    lights = judged(objective, x)
     before, left = x.copy(), iter([False] * looks)
     stop = lambda: next(left, True)  # noqa: E731
     alone = lights.misfit.of_likelihood

@@ -37,10 +37,6 @@ def room(fov: float = 60.0, size: int = 32, seed: int = 1, noise: float = 0.01) 
     return make_scene("room", size=size, lights=8, noise=noise, seed=seed, held_out=1, fov=fov)
 
 
-def unknown(scene: Scene) -> Scene:
-    return replace(scene, fov=60.0, fov_known=False)
-
-
 def minimum(objective: Objective, x: Array, lights: LightPrior, rounds: int = 4) -> JointFit:
     """Where pixels and lights have settled; x changes."""
     shared = SharedFit(lights)
@@ -84,7 +80,7 @@ VIEWS = [(90.0, 1), (40.0, 2), (60.0, 3)]
 @cache
 def fitted(fov: float, seed: int, told: bool) -> Result:
     scene = room(fov, size=48, seed=seed)
-    return decompose(scene if told else unknown(scene), **FAST)
+    return decompose(scene if told else replace(scene, fov=60.0, fov_known=False), **FAST)
 
 
 @pytest.mark.usefixtures("uncompared")

@@ -39,11 +39,6 @@ FREE = (
 )
 
 
-def grey(example: Example) -> Array:
-    """X that knows nothing of materials."""
-    return example.x(np.full_like(example.truth, 0.5))
-
-
 def fit(
     example: Example,
     x: Array | None = None,
@@ -56,7 +51,7 @@ def fit(
     """Best materials from x, or from nothing, of pixels, or all, and their sums of squares."""
     single: dict[str, Any] = {"images": example.targets.swapaxes(0, 1).astype(np.float32)}
     problem = example.problem(**({} if exact else single))
-    x = grey(example) if x is None else x
+    x = example.x(np.full_like(example.truth, 0.5)) if x is None else x
     pixels = example.everything if pixels is None else pixels
     return problem.fit_materials(x, pixels, *nodes, **options)
 

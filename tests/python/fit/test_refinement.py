@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from page_reader import Page
+from command_runs import done
+from page_reader import written
 from pbrfit import InputError, Result, Scene, decompose, relight
 from pbrfit.export import export_result
 from pbrfit.model.geometry import angles_between
 from pbrfit.model.reflection import render
-from pbrfit.report import write_report
 from pbrfit.result.differences import PALETTE, WHITE, turned
 from pbrfit.result.refinement import CHANGE_DEGREES_MIN, CHOICES, NOT_ASKED, Refinement, hindrance
 from pbrfit.synthetic import make_scene
@@ -204,29 +204,21 @@ def test_the_command_refines_if_need_be_unless_it_is_told_otherwise(
 
 
 def test_inspect_says_whether_normals_can_be_refined_and_how_far_off_they_are(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
 ) -> None:
-    two = folder_of(tmp_path / "two", 2)
-    assert run("inspect", two) == 0
-    said = capsys.readouterr().out
+    said = done("inspect", folder_of(tmp_path / "two", 2))
     assert "normal error      unknown\n" in said
     assert f"refine normals    not possible: {hindrance(scene(2))}\n" in said
     three = folder_of(tmp_path / "three", 3, normal_sigma=np.full((SIZE, SIZE), 7.25))
-    assert run("inspect", three) == 0
-    said = capsys.readouterr().out
+    said = done("inspect", three)
     assert "normal error      7.2 degrees (median), 7.2 (95 %), from uncertainty.Y\n" in said
     assert "refine normals    possible\n" in said
-
-
-def page_of(result: Result, path: Path) -> Page:
-    write_report(result, path, overwrite=True)
-    return Page(path.read_text("utf-8"))
 
 
 def test_the_page_shows_given_and_refined_normals_and_the_decision(
     result: Result, tmp_path: Path
 ) -> None:
-    page = page_of(result, tmp_path / "page.html")
+    page = written(result, tmp_path / "page.html")
     given, change = result.given_normals, result.normal_change
     assert given is not None
     assert change is not None
@@ -254,13 +246,13 @@ def test_the_page_says_why_normals_are_as_given(result: Result, tmp_path: Path) 
     figures = {"noise": 0.01, "something_new": 3.0, "residual_before": math.nan}
     left = Refinement("auto", False, "the pictures are explained to their noise", figures)
     plain = dataclasses.replace(result, refinement=left, given_normals=None)
-    page = page_of(plain, tmp_path / "page.html")
+    page = written(plain, tmp_path / "page.html")
     words = "The normals were left as given: the pictures are explained to their noise."
     assert page.text.count(words) == 2
     assert "something new" in page.text
     assert "unknown" in page.text
     assert "Angle between" not in page.content
     off = dataclasses.replace(result, refinement=NOT_ASKED, given_normals=None)
-    page = page_of(off, tmp_path / "page.html")
+    page = written(off, tmp_path / "page.html")
     assert "The normals were" not in page.text
     assert "as given, in camera space" in page.text

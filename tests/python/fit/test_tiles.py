@@ -10,6 +10,7 @@ import pytest
 
 import pbrfit
 from pbrfit.fit import memory, settings
+from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.run import Progress
 from pbrfit.fit.settings import WHOLE_PIXELS_MAX
 from pbrfit.fit.tiles import ending
@@ -99,13 +100,11 @@ class TestFit:
         whole = held(noisy)
         for error in ERRORS:
             assert in_nine.metrics[error] < 1.1 * whole.metrics[error] + 1e-4, error
-        for one, other in ((in_nine.uncertainty, whole.uncertainty),):
-            assert one is not None
-            assert other is not None
-            assert one.noise == pytest.approx(other.noise, rel=0.01)
-            here, there = (u.deviation.albedo for u in (one, other))
-            assert np.median(here) == pytest.approx(np.median(there), rel=0.05)
-            np.testing.assert_allclose(one.albedo_scale, other.albedo_scale, rtol=0.1)
+        one, other = known(in_nine.uncertainty), known(whole.uncertainty)
+        assert one.noise == pytest.approx(other.noise, rel=0.01)
+        here, there = (u.deviation.albedo for u in (one, other))
+        assert np.median(here) == pytest.approx(np.median(there), rel=0.05)
+        np.testing.assert_allclose(one.albedo_scale, other.albedo_scale, rtol=0.1)
 
     @pytest.mark.slow
     def test_wrong_normals_are_refined_in_tiles_too(
@@ -215,12 +214,13 @@ class TestFit:
 
 
 class TestWhenTilesAreUsed:
+    def layout(self, pixels: int, pictures: int = 3) -> ParameterLayout:
+        scene = make_scene("room", size=8, lights=pictures, held_out=1)
+        valid = np.broadcast_to(np.True_, (1, pixels))
+        return replace(ParameterLayout.of(scene), valid=valid)
+
     def plan(self, pixels: int, solver: Any = "gauss-newton") -> memory.Plan:
-        scene = make_scene("room", size=8, lights=3, held_out=1)
-        layout = replace(
-            pbrfit.fit.parameters.ParameterLayout.of(scene),
-            valid=np.broadcast_to(np.True_, (1, pixels)),
-        )
+        layout = self.layout(pixels)
         return memory.plan(layout, solver, held=pixels * 48, refine_normals=True, optional=True)
 
     @pytest.fixture
@@ -269,12 +269,7 @@ class TestWhenTilesAreUsed:
         assert "are available" in known(without.hindered)
 
     def test_eight_megapixels_with_16_pictures_take_less_than_8_gib(self) -> None:
-        scene = make_scene("room", size=8, lights=16, held_out=1)
         pixels = 8_000_000
-        layout = replace(
-            pbrfit.fit.parameters.ParameterLayout.of(scene),
-            valid=np.broadcast_to(np.True_, (1, pixels)),
-        )
-        held = pixels * (16 * 12 + 24)
+        layout, held = self.layout(pixels, pictures=16), pixels * (16 * 12 + 24)
         needed = memory.of_fit(layout, "gauss-newton", held=held, refine_normals=True, tiled=True)
         assert needed.peak < 8 * 2**30

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import json
 from pathlib import Path
 from typing import Any
@@ -229,18 +228,12 @@ def test_shade_is_in_the_deviation_of_albedo_however_many_pictures() -> None:
     assert (expected > 1e-6).all()
 
 
-@functools.cache
-def with_uncertainty() -> pbrfit.Result:
+def test_a_result_folder_keeps_it(tmp_path: Path) -> None:
     scene, objective, x = scene_and_x()
     result = pbrfit.decompose(scene, solver="lbfgsb", iterations=2, uncertainty=False)
-    return dataclasses.replace(result, uncertainty=estimated(objective, x))
-
-
-def test_a_result_folder_keeps_it(tmp_path: Path) -> None:
-    result = with_uncertainty()
-    result.save(tmp_path / "out")
+    saved = estimated(objective, x)
+    dataclasses.replace(result, uncertainty=saved).save(tmp_path / "out")
     loaded = known(pbrfit.Result.load(tmp_path / "out").uncertainty)
-    saved = known(result.uncertainty)
     for name, layer in saved.layers().items():
         np.testing.assert_array_equal(
             loaded.layers()[name].astype(np.float32), layer.astype(np.float32), err_msg=name

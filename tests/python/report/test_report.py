@@ -20,10 +20,10 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import pytest
 
-from browser import launched, visit, wait_until
+from browser import Visit, launched, visit, wait_until
 from command_runs import done, refused
 from left_out_pictures import EXCUSE, EXPLAINED, SENTENCE, UNEXPLAINED
-from page_reader import Page, decoded
+from page_reader import Page, decoded, written
 from pbrfit import InputError, Materials, Result, Scene, decompose
 from pbrfit.io.color import decode_srgb, encode_srgb
 from pbrfit.kernel import sh_basis
@@ -76,11 +76,6 @@ def unfitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def page(folder: Path) -> Page:
     return written(Result.load(folder / "result"), folder / "page.html")
-
-
-def written(result: Result, path: Path, scene: Scene | Path | None = None) -> Page:
-    write_report(result, path, scene)
-    return Page(path.read_text("utf-8"))
 
 
 @functools.cache
@@ -623,6 +618,15 @@ def chromium() -> Iterator[Browser]:
         yield browser
 
 
+@pytest.fixture
+def visited(folder: Path, page: Page, chromium: Browser) -> Iterator[Visit]:
+    """The page in a browser, in which nothing may go wrong."""
+    assert page.elements
+    with visit(chromium, folder / "page.html") as found:
+        yield found
+    assert found.troubles == []
+
+
 @pytest.mark.parametrize(("width", "height"), [(390, 844), (1400, 900)])
 @pytest.mark.parametrize("scheme", ["dark", "light"])
 def test_a_browser_shows_the_page_without_complaint(
@@ -659,44 +663,33 @@ def test_a_browser_shows_the_page_without_complaint(
     assert broken == 0
 
 
-def test_the_theme_is_chosen_by_a_button_and_remembered(
-    folder: Path, page: Page, chromium: Browser
-) -> None:
-    assert page.elements
+def test_the_theme_is_chosen_by_a_button_and_remembered(visited: Visit) -> None:
     ground = "getComputedStyle(document.documentElement).colorScheme"
-    with visit(chromium, folder / "page.html") as visited:
-        visited.page.emulate_media(color_scheme="dark")
-        assert visited.page.evaluate(ground) == "dark"
-        button = visited.page.get_by_role("button", name="Light or dark theme")
-        button.click()
-        assert visited.page.evaluate(ground) == "light"
-        visited.page.reload()
-        assert visited.page.evaluate(ground) == "light"
-        button.click()
-        assert visited.page.evaluate(ground) == "dark"
-        visited.page.emulate_media(media="print")
-        assert visited.page.evaluate(ground) == "light"
-        visited.page.emulate_media(media="screen")
-    assert visited.troubles == []
+    visited.page.emulate_media(color_scheme="dark")
+    assert visited.page.evaluate(ground) == "dark"
+    button = visited.page.get_by_role("button", name="Light or dark theme")
+    button.click()
+    assert visited.page.evaluate(ground) == "light"
+    visited.page.reload()
+    assert visited.page.evaluate(ground) == "light"
+    button.click()
+    assert visited.page.evaluate(ground) == "dark"
+    visited.page.emulate_media(media="print")
+    assert visited.page.evaluate(ground) == "light"
 
 
-def test_a_link_unfolds_its_section_and_verdicts_close(
-    folder: Path, page: Page, chromium: Browser
-) -> None:
-    assert page.elements
-    with visit(chromium, folder / "page.html") as visited:
-        lights = visited.page.locator("#lights details").first
-        assert lights.get_attribute("open") is None
-        visited.page.evaluate("location.hash = 'lights'")
-        wait_until(visited.page, "document.querySelector('#lights details').open")
-        visited.page.evaluate("window.scrollTo(0, 0)")
-        chips = visited.page.locator("details.verdict")
-        chips.nth(0).locator("summary").click()
-        chips.nth(1).locator("summary").click()
-        assert [chips.nth(i).get_attribute("open") for i in range(3)] == [None, "", None]
-        visited.page.keyboard.press("Escape")
-        assert chips.nth(1).get_attribute("open") is None
-    assert visited.troubles == []
+def test_a_link_unfolds_its_section_and_verdicts_close(visited: Visit) -> None:
+    lights = visited.page.locator("#lights details").first
+    assert lights.get_attribute("open") is None
+    visited.page.evaluate("location.hash = 'lights'")
+    wait_until(visited.page, "document.querySelector('#lights details').open")
+    visited.page.evaluate("window.scrollTo(0, 0)")
+    chips = visited.page.locator("details.verdict")
+    chips.nth(0).locator("summary").click()
+    chips.nth(1).locator("summary").click()
+    assert [chips.nth(i).get_attribute("open") for i in range(3)] == [None, "", None]
+    visited.page.keyboard.press("Escape")
+    assert chips.nth(1).get_attribute("open") is None
 
 
 @pytest.mark.parametrize(("height", "width"), [(600, 2), (2, 600)])
@@ -721,21 +714,16 @@ def test_narrow_pictures_neither_stretch_the_page_nor_vanish(
         assert min(stage["width"], stage["height"]) > 50
 
 
-def test_pictures_are_enlarged_by_key_and_closed_again(
-    folder: Path, page: Page, chromium: Browser
-) -> None:
-    assert page.elements
-    with visit(chromium, folder / "page.html") as visited:
-        visited.page.evaluate("document.querySelector('#maps details').open = true")
-        button = visited.page.get_by_role("button", name="Enlarge: Map of the recovered albedo")
-        button.focus()
-        visited.page.keyboard.press("Enter")
-        dialog = visited.page.locator("dialog.enlarged")
-        assert dialog.is_visible()
-        assert dialog.locator("img").get_attribute("alt") == "Map of the recovered albedo"
-        visited.page.keyboard.press("Escape")
-        assert not dialog.is_visible()
-    assert visited.troubles == []
+def test_pictures_are_enlarged_by_key_and_closed_again(visited: Visit) -> None:
+    visited.page.evaluate("document.querySelector('#maps details').open = true")
+    button = visited.page.get_by_role("button", name="Enlarge: Map of the recovered albedo")
+    button.focus()
+    visited.page.keyboard.press("Enter")
+    dialog = visited.page.locator("dialog.enlarged")
+    assert dialog.is_visible()
+    assert dialog.locator("img").get_attribute("alt") == "Map of the recovered albedo"
+    visited.page.keyboard.press("Escape")
+    assert not dialog.is_visible()
 
 
 def told_of_surroundings(transport: Transport, path: Path) -> str:

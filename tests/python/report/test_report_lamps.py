@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from page_reader import Page
+from page_reader import Page, written
 from pbrfit import Result
 from pbrfit.model.lamps import Lamps
-from pbrfit.report import write_report
 from pbrfit.report.lamp_sheet import draw_directions
 from pbrfit.report.lamps import seen
 from pbrfit.result.drawing import new_figure
@@ -26,11 +25,6 @@ def result() -> Result:
 @pytest.fixture(scope="module")
 def page(result: Result, tmp_path_factory: pytest.TempPathFactory) -> Page:
     return written(result, tmp_path_factory.mktemp("page") / "page.html")
-
-
-def written(result: Result, path: Path) -> Page:
-    write_report(result, path)
-    return Page(path.read_text("utf-8"))
 
 
 def test_lamps_have_a_section_in_the_place_of_lights(page: Page) -> None:

@@ -10,19 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from command_runs import done
 from pbrfit import InputError, Scene
 from pbrfit.model.lamps import Lamps
 from pbrfit.registration.placement import Placement, Registration, put_back
 from pbrfit.report import inspection
 from pbrfit.scene import folder as scene_folder
-from scene_files import SIZE, room, run, write_folder
+from scene_files import SIZE, room
 
 LP = "3\nlight_01.jpg 0.6 0 0.8\nlight_00.jpg 0 0.6 0.8\nlight_02.jpg 0 0 1\n"
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    return write_folder(tmp_path / "scene")
 
 
 def lamps(**changes: Any) -> Lamps:
@@ -99,15 +95,14 @@ def test_lamps_of_no_picture_are_refused(given: Any, message: str) -> None:
         with_lamps(given)
 
 
-def test_inspect_tells_of_lamps(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_inspect_tells_of_lamps(folder: Path) -> None:
     facts = dict(inspection.facts(Scene.load(folder)))
     assert facts["lamps"] == "unknown"
     (folder / "dome.lp").write_text(LP)
-    assert run("inspect", folder) == 0
     # Directions (0.6, 0, 0.8) and (0, 0.6, 0.8) are acos 0.64 apart, and acos 0.8 from the viewer.
     assert (
         "lamps             3 far lamps, colours unknown; far ones up to 50 degrees apart, 0 to 37 "
-        "from the viewer" in capsys.readouterr().out
+        "from the viewer" in done("inspect", folder)
     )
 
 
@@ -133,12 +128,9 @@ def test_arrays_without_normals() -> None:
         Scene(images=room().images[:2])
 
 
-def test_inspect_tells_that_there_are_no_normals(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_inspect_tells_that_there_are_no_normals(folder: Path, tmp_path: Path) -> None:
     (folder / "normals.exr").unlink()
-    assert run("inspect", folder, "--preview", tmp_path / "preview.png") == 0
-    said = capsys.readouterr().out
+    said = done("inspect", folder, "--preview", tmp_path / "preview.png")
     assert "assumed normals   none given: found from the pictures" in said
     assert "facing away       unknown: no normals are given" in said
     assert "normal error      none given" in said

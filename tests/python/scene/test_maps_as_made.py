@@ -20,7 +20,7 @@ from pbrfit.io.normal_files import read_normals
 from pbrfit.model.geometry import angles_between
 from pbrfit.scene.folder import digests
 from pbrfit.scene.reading import read_pictures
-from scene_files import LIGHTS, SIZE, known, room, write_exr, write_folder
+from scene_files import LIGHTS, SIZE, known, room, write_exr
 from scene_files import run as run_command
 
 Y, X = np.mgrid[0.95:-0.95:48j, -0.95:0.95:48j]
@@ -132,11 +132,6 @@ def test_lengths_at_the_tolerances(tmp_path: Path) -> None:
         normals[3, 4] *= length
         read = read_normals(store(tmp_path / "n.npy", normals))
         assert np.isfinite(read.vectors[3, 4, 0]) == there
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    return write_folder(tmp_path / "scene")
 
 
 CODES = np.rint(255 * (0.5 + 0.5 * room().normals)).astype(np.uint8)

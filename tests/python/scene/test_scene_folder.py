@@ -42,11 +42,6 @@ from scene_files import (
 from scene_files import write_integers as write_png
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    return write_folder(tmp_path / "scene")
-
-
 def retag(folder: Path, tags: dict[str, dict[int, Any]]) -> list[Path]:
     """The folder's pictures in JPEG, some with EXIF tags; of PNG what is so named."""
     paths = []
@@ -634,15 +629,6 @@ def cut(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-200])
 
 
-def leave_one(folder: Path) -> None:
-    for path in sorted((folder / "images").iterdir())[1:]:
-        path.unlink()
-
-
-def other_lights(folder: Path) -> None:
-    Lighting(("a", "b", "c"), np.ones((LIGHTS, 16, 3))).save(folder / "lighting.json")
-
-
 BAD_FOLDERS: dict[str, tuple[Any, str]] = {
     "no such folder": (shutil.rmtree, "scene: expected a scene folder, found nothing"),
     "no pictures": (
@@ -653,7 +639,10 @@ BAD_FOLDERS: dict[str, tuple[Any, str]] = {
         lambda f: shutil.rmtree(f / "images"),
         "scene: expected pictures under images/ or beside each other, found neither",
     ),
-    "one picture": (leave_one, "scene: images: expected at least two pictures .*lighting.json"),
+    "one picture": (
+        lambda f: [path.unlink() for path in sorted((f / "images").iterdir())[1:]],
+        "scene: images: expected at least two pictures .*lighting.json",
+    ),
     "equal names": (
         lambda f: write_jpeg(f / "images" / "light_00.jpg", room().images[0]),
         "expected one picture a name, found light_00.exr, light_00.jpg: take others away",
@@ -711,7 +700,7 @@ BAD_FOLDERS: dict[str, tuple[Any, str]] = {
         "scene.toml: expected world_to_camera, a 3 × 3 rotation",
     ),
     "lights of other pictures": (
-        other_lights,
+        lambda f: Lighting(tuple("abc"), np.ones((LIGHTS, 16, 3))).save(f / "lighting.json"),
         "lighting.json: expected a light for every picture, found none for light_00 and 2 more",
     ),
     "a truth without maps": (lambda f: (f / "truth").mkdir(), "truth/materials.exr"),
