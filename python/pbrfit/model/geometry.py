@@ -64,8 +64,8 @@ def positions(depth: NDArray[Any], fov: float, rows: slice = slice(None)) -> NDA
     (height, width), there = depth.shape, np.asarray(depth[rows], np.float64)
     x = (2 * np.arange(width) + 1 - width) / width
     y = (height - 1 - 2 * np.arange(height)[rows]) / width
-    scale = 1.0 if fov == 0 else math.tan(math.radians(fov) / 2) * there
-    return np.stack([x * scale + 0 * there, y[:, None] * scale, -there], axis=-1)
+    scale = np.ones(there.shape) if fov == 0 else math.tan(math.radians(fov) / 2) * there
+    return np.stack([x * scale, y[:, None] * scale, -there], axis=-1)
 
 
 def check_fov(fov: float) -> None:
