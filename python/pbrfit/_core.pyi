@@ -31,6 +31,7 @@ __all__ = [
     "last_word",
     "lobe_functions",
     "lobe_table",
+    "poisson_heights",
     "render",
     "sh_basis",
     "shade",

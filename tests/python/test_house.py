@@ -48,6 +48,7 @@ CORE_ROOMS = {
     "schur": "runtime reflectance block problem pixel",
     "lamps": "runtime reflectance problem pixel",
     "environment": "runtime reflectance problem",
+    "poisson": "runtime",
     "image_file": "runtime",
 }
 """Rooms of the core, each with those that it may use."""
