@@ -202,7 +202,7 @@ impl Grid {
         })
     }
 
-    /// A row of A u, added to zeros.
+    /// A row of A u.
     fn row_of_product(&self, u: &[f64], y: usize, out: &mut [f64]) {
         let n = self.columns;
         let here = self.row(u, y);

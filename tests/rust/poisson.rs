@@ -129,5 +129,5 @@ fn a_weight_below_zero_is_refused() {
         held,
     };
     let error = solve(couplings, u, u, 0.0, 1).unwrap_err().to_string();
-    assert_eq!(error, "down: expected weights of 0 or more, found -1");
+    assert_eq!(error, "down: expected numbers from 0, found -1 at 5");
 }
