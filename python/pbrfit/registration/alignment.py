@@ -135,7 +135,12 @@ class Shift:
     def displaced(self) -> bool:
         """Whether the peak is clearly another place."""
         clear = self.agreement > _SURE and self.agreement - self.in_place > _GAIN
-        return bool(clear and np.hypot(*self.shift) > _MOVED)
+        return clear and self.elsewhere
+
+    @property
+    def elsewhere(self) -> bool:
+        """Whether the peak is not in place."""
+        return bool(np.hypot(*self.shift) > _MOVED)
 
 
 def shift_between(reference: Field, field: Field) -> Shift | None:
