@@ -53,6 +53,17 @@ def evenly_spaced_over(labels: NDArray[np.intp], at_most: int) -> NDArray[np.uin
     return np.flatnonzero(taken).astype(np.uint64)
 
 
+def drawn(shares: NDArray[np.float64], count: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Indices into `shares` (P,), in order, about `count` of them, and how many each stands for.
+
+    Each is taken with a probability in proportion to its share: where the sum passes whole numbers,
+    so that it is the same every time.
+    """
+    expected = np.minimum(shares * (count / shares.sum()), 1.0)
+    rows = np.flatnonzero(np.diff(np.floor(np.cumsum(expected) + 0.5), prepend=0.0))
+    return rows, 1 / expected[rows]
+
+
 def stride(valid: NDArray[np.bool_], at_most: int) -> tuple[int, int, int]:
     """Step s, first row and first column: every s-th row and column has about `at_most` pixels.
 

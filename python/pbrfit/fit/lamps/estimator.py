@@ -39,7 +39,7 @@ from pbrfit.fit.lamps.scale import Reference
 from pbrfit.fit.lamps.shape import FOV_MAX, FOV_MEAN, FOV_SPREAD, first_shape, height_of
 from pbrfit.fit.priors.population import METALLIC_DEVIATION
 from pbrfit.fit.run import FitSetup, Progress, Trace
-from pbrfit.fit.sampling import evenly_spaced, evenly_spaced_over, placed
+from pbrfit.fit.sampling import drawn, evenly_spaced, evenly_spaced_over, placed
 from pbrfit.fit.settings import (
     DEGREES_OF_FREEDOM_SHARE_MIN,
     EARLY_ROUNDS,
@@ -81,12 +81,22 @@ LOOKS: dict[int, tuple[tuple[float, ...], tuple[float, ...]]] = {
 of view and roughnesses are tried, one after the other: wide first, then near the best. Steps from
 the best are degrees; in the first round `FIELDS_OF_VIEW` are tried."""
 
+ROUGHNESSES = 0.1, 0.18, 0.3, 0.45, 0.7
+"""That are tried, half an octave apart, less than what a lobe's width tells."""
+
 LOOK_LAST = 4
 """From which round on normals are no longer sought at highlights, and roughness near what it is; a
 compared fit ends before it."""
 
 FIELDS_OF_VIEW = (0.0, 15.0, 30.0, 45.0, 60.0)
 """Degrees that are tried where nobody told it."""
+
+LOOKED_OVER, LOOKED_AT = 20_000, 400
+"""Pixels that looks choose from, and that they fit."""
+
+SAMPLES_IN_LOBE = 3
+"""Samples within a lobe from which on looks may find it: fewer they miss altogether more than once
+in twenty, e⁻³, and narrow lobes would win by never being seen."""
 
 INDEPENDENT_SHARE = 1 / 8
 """Share of the pixels looked at that counts: what a picture shows wrong it shows wrong around it,
@@ -160,6 +170,14 @@ def seen_error(pixels: LampPixels, state: LampState, *, relative: bool = False) 
         return np.asarray((pixels.weights * np.minimum(logs**2, 1.0)).sum(axis=2))
     roots = np.sqrt(np.maximum(shown, 0)) - np.sqrt(np.maximum(pixels.samples, 0))
     return np.asarray((pixels.weights * roots**2).sum(axis=2))
+
+
+def left_out_of(pictures: int) -> NDArray[np.bool_]:
+    """(N,): which of so many pictures looks leave out, a third, unless they are too few."""
+    found = np.zeros(pictures, bool)
+    if pictures >= 6:  # four others, twelve samples for a pixel's six unknowns
+        found[1::3] = True
+    return found
 
 
 class LampFit:
@@ -371,15 +389,11 @@ class LampFit:
         as it is. Highlights tell all three, and only together: where they are shown in wrong
         places, a rough surface without any is better.
         """
-        # These have thousands of samples, of which a narrow lobe shows in some per cent.
-        of = evenly_spaced_over(fit.pixels.labels, 400).astype(np.intp)
-        few = fit.pixels.of_rows(of)
-        given, prior = fit.state.of_rows(of), fit.prior.of_rows(of)
+        few, given, prior, counts, angles = self._looked_at(fit)
         labels = np.unique(few.labels)
-        independent = INDEPENDENT_SHARE * len(few)
-        # Half an octave apart, less than what a lobe's width tells, and then over that: a highlight
-        # is as bright as r⁻⁴, so that a quarter of an octave asks for lamps twice as bright.
-        roughnesses = np.outer((0.1, 0.18, 0.3, 0.45, 0.7), np.ones(len(few)))
+        # At last a quarter of an octave apart: a highlight is as bright as r⁻⁴, so that this asks
+        # for lamps twice as bright.
+        roughnesses = np.outer(ROUGHNESSES, np.ones(len(few)))
         if number >= LOOK_LAST:
             nearer = np.outer(2.0 ** np.linspace(-0.5, 0.5, 5), prior.mean[:, 5])
             roughnesses = np.clip(nearer, ROUGHNESS_MIN, 1)
@@ -389,6 +403,8 @@ class LampFit:
             metals = (few.labels > 0).astype(float)
             metallic = np.repeat([np.zeros(len(few)), metals], len(roughnesses), axis=0)
             roughnesses = np.tile(roughnesses, (2, 1))
+        within = (angles < np.arctan(roughnesses[..., None] ** 2)).sum(axis=2)
+        independent = INDEPENDENT_SHARE * counts.sum() ** 2 / np.square(counts).sum()
 
         def tried(fov: float, scale: float) -> tuple[float, dict[int, tuple[float, float]]]:
             """How unlikely it looks, with what looks likeliest of each label."""
@@ -401,17 +417,20 @@ class LampFit:
             chosen = {}
             for label in labels:
                 own = few.labels == label
-                sums = left[:, own].sum(axis=1)
+                sums = left[:, own] @ counts[own]
+                # The roughest of all is always told.
+                told = within[:, own].sum(axis=1) >= SAMPLES_IN_LOBE
+                sums[~told & (roughnesses[:, own][:, 0] < roughnesses[:, own].max())] = np.inf
                 best_of = int(np.argmin(sums))
                 values, kinds = (of[:, own][:, 0] for of in (roughnesses, metallic))
                 same = kinds == kinds[best_of]
                 # The mean by likelihood: the middle one where none looks better than another.
                 wrong = np.maximum(sums[same], 1e-12) / max(float(sums[same].min()), 1e-12)
-                shares = np.exp(-0.5 * (INDEPENDENT_SHARE * int(own.sum())) * np.log(wrong))
+                shares = wrong ** (-0.5 * independent * counts[own].sum() / counts.sum())
                 likely = float(shares @ values[same] / shares.sum())
                 chosen[label] = likely, float(kinds[best_of])
                 total += float(sums[best_of])
-                offset += float(turned[best_of, own].sum())
+                offset += float(turned[best_of, own] @ counts[own])
             total = 0.5 * independent * float(np.log(max(total, 1e-12)))
             total += 0.5 * INDEPENDENT_SHARE * offset
             total += 0.5 * float((fit.scale_of(lamps) ** 2).sum())
@@ -440,6 +459,40 @@ class LampFit:
         mean[:, 5] = roughness
         fit.prior = SurfacePrior(mean, fit.prior.precision)
 
+    def _looked_at(
+        self, fit: JointLamps
+    ) -> tuple[LampPixels, LampState, SurfacePrior, Array, Array]:
+        """Pixels of the scene that tell roughness, and how many each stands for, (P,).
+
+        Also the angles (P, K) between normals and those that mirror a lamp of a left-out picture
+        (of any if none is): half of the pixels of each label are spread evenly, and half over the
+        octaves of the least angle. Of evenly spread ones next to none is within a narrow lobe.
+        """
+        scene = self.scene
+        labels = np.zeros(len(scene.places), np.intp) if scene.labels is None else scene.labels[0]
+        over = evenly_spaced_over(labels, LOOKED_OVER).astype(np.intp)
+        pixels = self._pixels(fit.matrix, scene.places[over], fit.pixels)
+        directions, _ = fit.state.incident(pixels)
+        judged = left_out_of(pixels.pictures)[fit.state.lamps.pictures]
+        halves = directions[:, judged if judged.any() else ~judged] + pixels.views[:, None]
+        halves /= np.maximum(np.linalg.norm(halves, axis=-1, keepdims=True), 1e-9)
+        angles = np.arccos(np.clip(np.einsum("px,pkx->pk", pixels.normals, halves), -1, 1))
+        octave = np.log2(np.maximum(angles.min(axis=1) / ROUGHNESSES[0] ** 2, 1)).astype(np.intp)
+        shares = np.zeros(len(pixels))
+        for label in np.unique(pixels.labels):
+            of = pixels.labels == label
+            sizes = np.bincount(octave[of])
+            shares[of] = 0.5 / of.sum() + 0.5 / (np.count_nonzero(sizes) * sizes[octave[of]])
+        rows, counts = drawn(shares, LOOKED_AT)
+        few = pixels.of_rows(rows)
+        albedo, metallic = (
+            _spread(of, fit.pixels.places, few.places, scene.width)
+            for of in (fit.state.albedo, fit.state.metallic)
+        )
+        state = fit.state.with_surface(few.normals, albedo, np.zeros(len(few)), metallic)
+        prior = of_labels(fit.prior, fit.pixels, few, self._offset_sigma(few.places))
+        return few, state, prior, counts, angles[rows]
+
     def _views(self, fov: float, places: NDArray[np.intp]) -> Array:
         """(P, 3): unit vectors to the camera at places of the picture."""
         rows, columns = np.divmod(places, self.scene.width)
@@ -460,9 +513,7 @@ class LampFit:
         Surfaces are fitted to some pictures, and what they show in the others counts: with a normal
         and a narrow lobe of its own a pixel can show any one highlight, but not the next.
         """
-        left_out = np.zeros(few.pictures, bool)
-        if few.pictures >= 6:  # four others, twelve samples for a pixel's six unknowns
-            left_out[1::3] = True
+        left_out = left_out_of(few.pictures)
         counted = left_out if left_out.any() else ~left_out
         # All at once: each pixel with one roughness after the other.
         tries = np.tile(np.arange(len(few)), len(roughnesses))
