@@ -94,9 +94,9 @@ FIELDS_OF_VIEW = (0.0, 15.0, 30.0, 45.0, 60.0)
 LOOKED_OVER, LOOKED_AT = 20_000, 400
 """Pixels that looks choose from, and that they fit."""
 
-SAMPLES_IN_LOBE = 3
-"""Samples within a lobe from which on looks may find it: fewer they miss altogether more than once
-in twenty, e⁻³, and narrow lobes would win by never being seen."""
+SAMPLES_IN_LOBE = 10
+"""Samples within a lobe from which on looks may find it: of so many what it shows wrong is known to
+a third, 1/√10. Of fewer the lobe that happened to meet none would win."""
 
 INDEPENDENT_SHARE = 1 / 8
 """Share of the pixels looked at that counts: what a picture shows wrong it shows wrong around it,
@@ -403,7 +403,11 @@ class LampFit:
             metals = (few.labels > 0).astype(float)
             metallic = np.repeat([np.zeros(len(few)), metals], len(roughnesses), axis=0)
             roughnesses = np.tile(roughnesses, (2, 1))
-        within = (angles < np.arctan(roughnesses[..., None] ** 2)).sum(axis=2)
+        # Normals are off by their own deviation, which makes a lobe wider that samples are within,
+        # and each of these less likely to be.
+        lobes = roughnesses**4
+        widths = lobes + 1 / prior.precision[:, 0]
+        within = (angles**2 < widths[..., None]).sum(axis=2) * (lobes / widths)
         independent = INDEPENDENT_SHARE * counts.sum() ** 2 / np.square(counts).sum()
 
         def tried(fov: float, scale: float) -> tuple[float, dict[int, tuple[float, float]]]:
@@ -462,7 +466,7 @@ class LampFit:
     def _looked_at(
         self, fit: JointLamps
     ) -> tuple[LampPixels, LampState, SurfacePrior, Array, Array]:
-        """Pixels of the scene that tell roughness, and how many each stands for, (P,).
+        """Pixels of the scene that tell roughness, and how much each counts, (P,), 1 in the mean.
 
         Also the angles (P, K) between normals and those that mirror a lamp of a left-out picture
         (of any if none is): half of the pixels of each label are spread evenly, and half over the
@@ -477,7 +481,8 @@ class LampFit:
         halves = directions[:, judged if judged.any() else ~judged] + pixels.views[:, None]
         halves /= np.maximum(np.linalg.norm(halves, axis=-1, keepdims=True), 1e-9)
         angles = np.arccos(np.clip(np.einsum("px,pkx->pk", pixels.normals, halves), -1, 1))
-        octave = np.log2(np.maximum(angles.min(axis=1) / ROUGHNESSES[0] ** 2, 1)).astype(np.intp)
+        least = np.hypot(ROUGHNESSES[0] ** 2, self._offset_sigma(pixels.places))
+        octave = np.log2(np.maximum(angles.min(axis=1) / least, 1)).astype(np.intp)
         shares = np.zeros(len(pixels))
         for label in np.unique(pixels.labels):
             of = pixels.labels == label
@@ -491,7 +496,7 @@ class LampFit:
         )
         state = fit.state.with_surface(few.normals, albedo, np.zeros(len(few)), metallic)
         prior = of_labels(fit.prior, fit.pixels, few, self._offset_sigma(few.places))
-        return few, state, prior, counts, angles[rows]
+        return few, state, prior, counts / counts.mean(), angles[rows]
 
     def _views(self, fov: float, places: NDArray[np.intp]) -> Array:
         """(P, 3): unit vectors to the camera at places of the picture."""

@@ -13,8 +13,8 @@ H the information of the pixel's unknowns, Q the prior's. Matt neighbours tell n
 roughness, so a metal has a prior of its own. Residuals of neighbours and channels are alike, so
 that costs count as a share of the samples that are independent, and as less where neither kind
 explains a pixel; log odds are averaged over 3 × 3 pixels. The share of metals of each label is
-found by expectation and maximisation, and metallic is the probability; where that is not near 0 or
-1 the rest is fitted once more with it.
+found by expectation and maximisation. The likelier kind is taken, whole: half a metal would have
+highlights that neither kind has.
 """
 
 from __future__ import annotations
@@ -45,9 +45,6 @@ STEPS = 12
 
 METAL_SHARE = 0.05
 """Share of metals that each label is expected to have before it was looked at."""
-
-SURE = 0.95
-"""Probability from which a pixel is a metal, or a dielectric, altogether."""
 
 BOUND_STEP = 1e-6
 """Distance from 0 and 1 at which the slopes of values at these bounds are taken."""
@@ -306,20 +303,7 @@ def _with_metals(
     share = metal_shares(odds, pixels.labels)
     odds += np.log(share / (1 - share))
     chance, variance = probability(odds), probability(odds) * probability(-odds)
-    metallic = np.where(chance > SURE, 1.0, np.where(chance < 1 - SURE, 0.0, chance))
-    state = replace(better_of(state, chance, metal, 1 - chance)[0], metallic=metallic)
-    between = np.flatnonzero((metallic > 0) & (metallic < 1))
-    if len(between):
-        rather = chance[between, None] > 0.5
-        some, of_metals = given.of_rows(between), metals.of_rows(between)
-        of_some = SurfacePrior(
-            np.where(rather, of_metals.mean, some.prior.mean),
-            np.where(rather, of_metals.precision, some.prior.precision),
-        )
-        mixed = replace(some, prior=of_some)
-        refitted, _, _ = mixed.fitted(state.of_rows(between), weights[between])
-        for name in ("normals", "albedo", "roughness"):
-            getattr(state, name)[between] = getattr(refitted, name)
+    state, _ = better_of(state, chance, metal, 1 - chance)
     return state, variance
 
 
