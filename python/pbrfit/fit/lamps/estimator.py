@@ -434,9 +434,9 @@ class LampFit:
                 likely = float(shares @ values[same] / shares.sum())
                 chosen[label] = likely, float(kinds[best_of])
                 total += float(sums[best_of])
-                offset += float(turned[best_of, own] @ counts[own])
+                offset += float(np.log1p(turned[best_of, own] / 2) @ counts[own])
             total = 0.5 * independent * float(np.log(max(total, 1e-12)))
-            total += 0.5 * INDEPENDENT_SHARE * offset
+            total += INDEPENDENT_SHARE * offset
             total += 0.5 * float((fit.scale_of(lamps) ** 2).sum())
             return total + 0.5 * ((fov - FOV_MEAN) / FOV_SPREAD) ** 2, chosen
 
