@@ -33,7 +33,7 @@ from pbrfit.fit.lamps.joint import (
     turned,
 )
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
-from pbrfit.fit.lamps.sample_noise import Noise
+from pbrfit.fit.lamps.sample_noise import Noise, left_out_of, seen_error
 from pbrfit.fit.lamps.samples import FirstShape
 from pbrfit.fit.lamps.scale import Reference
 from pbrfit.fit.lamps.shape import FOV_MAX, FOV_MEAN, FOV_SPREAD, first_shape, height_of
@@ -153,30 +153,6 @@ def of_labels(
         one = int(np.flatnonzero(few.labels == label)[0])
         of = pixels.labels == label
         found.mean[of, 5], found.precision[of, 5] = prior.mean[one, 5], prior.precision[one, 5]
-    return found
-
-
-def seen_error(pixels: LampPixels, state: LampState, *, relative: bool = False) -> Array:
-    """(P, N): Σ (√I − √y)² over the channels of a sample: about what the eye makes of differences.
-
-    A highlight that is missing, or in a wrong place, counts more than shadows and what surfaces are
-    not quite diffuse, however many samples these are.
-    """
-    shown = pixels.samples + pixels.residuals(radiance(pixels, state))
-    if relative:
-        # Near lamps: in proportion, of which no more than a factor of e counts.
-        floor = 0.01 * MEAN_RADIANCE
-        logs = np.log(np.maximum(shown, 0) + floor) - np.log(np.maximum(pixels.samples, 0) + floor)
-        return np.asarray((pixels.weights * np.minimum(logs**2, 1.0)).sum(axis=2))
-    roots = np.sqrt(np.maximum(shown, 0)) - np.sqrt(np.maximum(pixels.samples, 0))
-    return np.asarray((pixels.weights * roots**2).sum(axis=2))
-
-
-def left_out_of(pictures: int) -> NDArray[np.bool_]:
-    """(N,): which of so many pictures looks leave out, a third, unless they are too few."""
-    found = np.zeros(pictures, bool)
-    if pictures >= 6:  # four others, twelve samples for a pixel's six unknowns
-        found[1::3] = True
     return found
 
 

@@ -134,6 +134,30 @@ class Noise:
         return replace(self, floor=floor, relative=relative, shadows=np.clip(share, *SHADOWS))
 
 
+def seen_error(pixels: LampPixels, state: LampState, *, relative: bool = False) -> Array:
+    """(P, N): Σ (√I − √y)² over the channels of a sample: about what the eye makes of differences.
+
+    A highlight that is missing, or in a wrong place, counts more than shadows and what surfaces are
+    not quite diffuse, however many samples these are.
+    """
+    shown = pixels.samples + pixels.residuals(radiance(pixels, state))
+    if relative:
+        # Near lamps: in proportion, of which no more than a factor of e counts.
+        floor = 0.01 * MEAN_RADIANCE
+        logs = np.log(np.maximum(shown, 0) + floor) - np.log(np.maximum(pixels.samples, 0) + floor)
+        return np.asarray((pixels.weights * np.minimum(logs**2, 1.0)).sum(axis=2))
+    roots = np.sqrt(np.maximum(shown, 0)) - np.sqrt(np.maximum(pixels.samples, 0))
+    return np.asarray((pixels.weights * roots**2).sum(axis=2))
+
+
+def left_out_of(pictures: int) -> NDArray[np.bool_]:
+    """(N,): which of so many pictures looks leave out, a third, unless they are too few."""
+    found = np.zeros(pictures, bool)
+    if pictures >= 6:  # four others, twelve samples for a pixel's six unknowns
+        found[1::3] = True
+    return found
+
+
 def over_channels(values: NDArray[Any]) -> Array:
     """(...,): sums of (..., 3), several times as fast as along an axis so short."""
     return np.asarray(np.add(values[..., 0], values[..., 1], dtype=np.float64) + values[..., 2])

@@ -14,7 +14,8 @@ roughness, so a metal has a prior of its own. Residuals of neighbours and channe
 that costs count as a share of the samples that are independent, and as less where neither kind
 explains a pixel; log odds are averaged over 3 × 3 pixels. The share of metals of each label is
 found by expectation and maximisation. The likelier kind is taken, whole: half a metal would have
-highlights that neither kind has.
+highlights that neither kind has. Of what the model does not have evidence makes metals, too: those
+have to show pictures better than dielectrics that neither was fitted to.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from pbrfit.fit.lamps.joint import (
     unknowns_of,
 )
 from pbrfit.fit.lamps.problem import LampPixels, LampState, by_pieces, radiance, surface_of
-from pbrfit.fit.lamps.sample_noise import Noise, over_channels, probability
+from pbrfit.fit.lamps.sample_noise import Noise, left_out_of, over_channels, probability, seen_error
 from pbrfit.fit.pixels import NEIGHBOURS
 from pbrfit.fit.sampling import beside
 
@@ -303,8 +304,33 @@ def _with_metals(
     share = metal_shares(odds, pixels.labels)
     odds += np.log(share / (1 - share))
     chance, variance = probability(odds), probability(odds) * probability(-odds)
+    likely = np.flatnonzero(chance > 0.5)
+    if len(likely):
+        some, of_metals, weights = given.of_rows(likely), metals.of_rows(likely), weights[likely]
+        begin = state.of_rows(likely), metal.of_rows(likely)
+        worse = likely[~_foretold(some, of_metals, *begin, weights, width)]
+        chance[worse] = 1 - chance[worse]
     state, _ = better_of(state, chance, metal, 1 - chance)
     return state, variance
+
+
+def _foretold(
+    given: SurfaceFit,
+    metals: SurfacePrior,
+    dielectric: LampState,
+    metal: LampState,
+    weights: Array,
+    width: int,
+) -> NDArray[np.bool_]:
+    """(P,): whether metals show left-out pictures better than dielectrics, in the mean of 3 × 3."""
+    pixels, left_out = given.pixels, left_out_of(given.pixels.pictures)
+    if not left_out.any():
+        return np.ones(len(pixels), bool)
+    kept = weights * ~left_out[None, :, None]
+    fits = given.fitted(dielectric, kept), replace(given, prior=metals).fitted(metal, kept)
+    wrong, of_metals = (seen_error(pixels, fit[0]) @ left_out for fit in fits)
+    better = np.log(np.maximum(wrong, 1e-12) / np.maximum(of_metals, 1e-12))
+    return np.asarray(neighbour_means(better, pixels.places, width) > 0)
 
 
 def _told(information: Array, prior: SurfacePrior) -> Array:
