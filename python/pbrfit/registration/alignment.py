@@ -130,17 +130,14 @@ class Shift:
     agreement: float
     in_place: float
     """Correlations there, and without a shift."""
+    elsewhere: bool
+    """Whether the peak is not in place, but more than a pixel away."""
 
     @property
     def displaced(self) -> bool:
         """Whether the peak is clearly another place."""
         clear = self.agreement > _SURE and self.agreement - self.in_place > _GAIN
         return clear and self.elsewhere
-
-    @property
-    def elsewhere(self) -> bool:
-        """Whether the peak is not in place."""
-        return bool(np.hypot(*self.shift) > _MOVED)
 
 
 def shift_between(reference: Field, field: Field) -> Shift | None:
@@ -152,7 +149,7 @@ def shift_between(reference: Field, field: Field) -> Shift | None:
     reach = min(REACH, min(reference.shape) // 4)
     found = _peak(reference, field, reach)
     if found is not None and max(map(abs, found.shift)) > reach - 1:  # it may be beyond
-        return Shift((0.0, 0.0), found.in_place, found.in_place)
+        return Shift((0.0, 0.0), found.in_place, found.in_place, elsewhere=True)
     return found
 
 
@@ -209,7 +206,9 @@ def _peak(a: Field, b: Field, reach: int) -> Shift | None:
             curvature = before - 2 * height + after
             if curvature < 0:
                 shift[axis] += np.clip((before - after) / (2 * curvature), -0.5, 0.5)
-    return Shift((float(shift[0]), float(shift[1])), float(height), float(found[reach, reach]))
+    elsewhere = bool(np.hypot(*shift) > _MOVED)
+    down, right = shift.tolist()
+    return Shift((down, right), float(height), float(found[reach, reach]), elsewhere)
 
 
 def _tiles(reference: Field, field: Field) -> tuple[float, float]:
