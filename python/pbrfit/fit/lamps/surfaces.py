@@ -308,7 +308,8 @@ def _with_metals(
     if len(likely):
         some, of_metals, weights = given.of_rows(likely), metals.of_rows(likely), weights[likely]
         begin = state.of_rows(likely), metal.of_rows(likely)
-        worse = likely[~_foretold(some, of_metals, *begin, weights, width)]
+        foretold = _foretold(some, of_metals, *begin, weights, width)
+        worse = likely[foretold + np.log(share / (1 - share))[likely] <= 0]
         chance[worse] = 1 - chance[worse]
     state, _ = better_of(state, chance, metal, 1 - chance)
     return state, variance
@@ -321,16 +322,20 @@ def _foretold(
     metal: LampState,
     weights: Array,
     width: int,
-) -> NDArray[np.bool_]:
-    """(P,): whether metals show left-out pictures better than dielectrics, in the mean of 3 × 3."""
+) -> Array:
+    """(P,): ln odds by left-out pictures that pixels are metals, in the mean of 3 × 3.
+
+    What each kind leaves of these has a variance that nobody knows: odds are the ratio of squares
+    to the power of half their number.
+    """
     pixels, left_out = given.pixels, left_out_of(given.pixels.pictures)
     if not left_out.any():
-        return np.ones(len(pixels), bool)
+        return np.full(len(pixels), np.inf)
     kept = weights * ~left_out[None, :, None]
     fits = given.fitted(dielectric, kept), replace(given, prior=metals).fitted(metal, kept)
     wrong, of_metals = (seen_error(pixels, fit[0]) @ left_out for fit in fits)
     better = np.log(np.maximum(wrong, 1e-12) / np.maximum(of_metals, 1e-12))
-    return np.asarray(neighbour_means(better, pixels.places, width) > 0)
+    return 0.5 * np.count_nonzero(left_out) * neighbour_means(better, pixels.places, width)
 
 
 def _told(information: Array, prior: SurfacePrior) -> Array:
