@@ -4,18 +4,16 @@
 cast shadow covers more than a pixel. The log odds of being ordinary are averaged over 3 × 3 pixels
 there. What is too bright is judged alone: highlights are as narrow as they are.
 
-**Metals.** A surface is a dielectric or a metal; what is between is a mixture inside a pixel. Each
-pixel is fitted as both. With equal priors on all else, Laplace's approximation of the evidence is
+**Metals.** A surface is a dielectric or a metal, and never a half of each, whose highlights neither
+has. Each pixel is fitted as both, to some of the pictures; what these show wrong in the others
+decides, for of what the model does not have highlights of metals make up in pictures that they are
+fitted to. With S the squares of n pictures that a kind leaves, of a variance that nobody knows,
 
-    ln p(y | kind) = −½ (cost + ln det H − ln det Q) + const,
+    ln p(y | metal) − ln p(y | dielectric) = (n/2) ln (S_dielectric / S_metal).
 
-H the information of the pixel's unknowns, Q the prior's. Matt neighbours tell nothing of a metal's
-roughness, so a metal has a prior of its own. Residuals of neighbours and channels are alike, so
-that costs count as a share of the samples that are independent, and as less where neither kind
-explains a pixel; log odds are averaged over 3 × 3 pixels. The share of metals of each label is
-found by expectation and maximisation. The likelier kind is taken, whole: half a metal would have
-highlights that neither kind has. Of what the model does not have evidence makes metals, too: those
-have to show pictures better than dielectrics that neither was fitted to.
+Log odds are averaged over 3 × 3 pixels, none as more than 5. The share of metals of each label is
+found by expectation and maximisation. Matt neighbours tell nothing of a metal's roughness, so a
+metal has a prior of its own.
 """
 
 from __future__ import annotations
@@ -35,7 +33,13 @@ from pbrfit.fit.lamps.joint import (
     unknowns_of,
 )
 from pbrfit.fit.lamps.problem import LampPixels, LampState, by_pieces, radiance, surface_of
-from pbrfit.fit.lamps.sample_noise import Noise, left_out_of, over_channels, probability, seen_error
+from pbrfit.fit.lamps.sample_noise import (
+    Noise,
+    left_out_of,
+    over_channels,
+    probability,
+    seen_error,
+)
 from pbrfit.fit.pixels import NEIGHBOURS
 from pbrfit.fit.sampling import beside
 
@@ -46,6 +50,9 @@ STEPS = 12
 
 METAL_SHARE = 0.05
 """Share of metals that each label is expected to have before it was looked at."""
+
+ODDS_MAX = 5.0
+"""Largest log odds of one pixel: twelve dozen to one, so that it does not outvote its neighbours."""
 
 BOUND_STEP = 1e-6
 """Distance from 0 and 1 at which the slopes of values at these bounds are taken."""
@@ -246,10 +253,10 @@ def _from_more_starts(
             begin = replace(state, roughness=np.full(len(pixels), roughness))
             state, left = improved(begin, np.arange(len(pixels)))
     # Shadows that hide behind a wrong normal show in the second round.
-    state, weights, cost, information = given.robust(state, 2, width=width)
+    state, weights, *_ = given.robust(state, 2, width=width)
     of_kind = state.metallic * (1 - state.metallic)
     if metals is not None:
-        state, of_kind = _with_metals(given, metals, state, weights, width, cost, information)
+        state, of_kind = _with_metals(given, metals, state, weights, width)
     if free:
         state = _as_seen(given, state)
     return state, weights, of_kind
@@ -271,80 +278,40 @@ def _as_seen(given: SurfaceFit, state: LampState) -> LampState:
 
 
 def _with_metals(
-    given: SurfaceFit,
-    metals: SurfacePrior,
-    state: LampState,
-    weights: Array,
-    width: int,
-    cost: Array,
-    information: Array,
+    given: SurfaceFit, metals: SurfacePrior, state: LampState, weights: Array, width: int
 ) -> tuple[LampState, Array]:
     """A state of dielectrics, with metals where these explain the samples better.
 
     `metals` is the prior of these. Also the variance of metallic (P,), never 0.
     """
-    pixels, count = given.pixels, len(given.pixels)
-    metal, metal_cost, metal_information = state, np.full(count, np.inf), information
+    pixels, of_metals = given.pixels, replace(given, prior=metals)
+    left_out = left_out_of(pixels.pictures)
+    counted = left_out if left_out.any() else ~left_out
+    kept = weights * ~left_out[None, :, None]
+    count, number = len(pixels), np.count_nonzero(counted)
+
+    def wrong(of: LampState) -> Array:
+        """(P,): what is shown wrong."""
+        return np.maximum(seen_error(pixels, of) @ counted, 1e-12)
+
+    metal, of_metal = state, np.full(count, np.inf)
     for roughness in (0.35,) if given.free_normals else (0.35, 0.6):
         bright = np.clip(state.albedo * 1.5, 0.1, 1.0)
         begin = state.with_surface(state.normals, bright, np.full(count, roughness), np.ones(count))
-        begin, of_begin, told = replace(given, prior=metals).fitted(begin, weights)
-        take = of_begin < metal_cost
-        metal, metal_cost = better_of(metal, metal_cost, begin, of_begin)
-        metal_information = np.where(take[:, None, None], told, metal_information)
-    # What the better of both leaves is misfit, of which costs count as so many samples: that of a
-    # pixel that neither explains, for its costs tell as much less, or what is usual, or a tenth of
-    # the deviation that weights take at least. Three channels share what is left of a sample.
-    samples = np.maximum((pixels.weights > 0).sum(axis=(1, 2)) - UNKNOWNS, 1)
-    left_over = np.minimum(cost, metal_cost) / samples
-    misfit = np.maximum(left_over, max(float(np.median(left_over)), 0.01))
-    odds = -0.5 * (1 / 3) * (metal_cost - cost) / misfit
-    odds -= 0.5 * (_told(metal_information, metals) - _told(information, given.prior))
-    odds = neighbour_means(np.clip(odds, -50, 50), pixels.places, width, pixels.labels)
+        begin, cost, _ = of_metals.fitted(begin, kept)
+        metal, of_metal = better_of(metal, of_metal, begin, cost)
+    dielectric = given.fitted(state, kept)[0]
+    odds = 0.5 * number * np.log(wrong(dielectric) / wrong(metal))
+    odds = neighbour_means(np.clip(odds, -ODDS_MAX, ODDS_MAX), pixels.places, width, pixels.labels)
     share = metal_shares(odds, pixels.labels)
     odds += np.log(share / (1 - share))
-    chance, variance = probability(odds), probability(odds) * probability(-odds)
-    likely = np.flatnonzero(chance > 0.5)
-    if len(likely):
-        some, of_metals, weights = given.of_rows(likely), metals.of_rows(likely), weights[likely]
-        begin = state.of_rows(likely), metal.of_rows(likely)
-        foretold = _foretold(some, of_metals, *begin, weights, width)
-        worse = likely[foretold + np.log(share / (1 - share))[likely] <= 0]
-        chance[worse] = 1 - chance[worse]
-    state, _ = better_of(state, chance, metal, 1 - chance)
-    return state, variance
-
-
-def _foretold(
-    given: SurfaceFit,
-    metals: SurfacePrior,
-    dielectric: LampState,
-    metal: LampState,
-    weights: Array,
-    width: int,
-) -> Array:
-    """(P,): ln odds by left-out pictures that pixels are metals, in the mean of 3 × 3.
-
-    What each kind leaves of these has a variance that nobody knows: odds are the ratio of squares
-    to the power of half their number.
-    """
-    pixels, left_out = given.pixels, left_out_of(given.pixels.pictures)
-    if not left_out.any():
-        return np.full(len(pixels), np.inf)
-    kept = weights * ~left_out[None, :, None]
-    fits = given.fitted(dielectric, kept), replace(given, prior=metals).fitted(metal, kept)
-    wrong, of_metals = (seen_error(pixels, fit[0]) @ left_out for fit in fits)
-    better = np.log(np.maximum(wrong, 1e-12) / np.maximum(of_metals, 1e-12))
-    return 0.5 * np.count_nonzero(left_out) * neighbour_means(better, pixels.places, width)
-
-
-def _told(information: Array, prior: SurfacePrior) -> Array:
-    """(P,): ln det H − ln det Q of what is free; none is wider than uniform in [0, 1], 1/12."""
-    diagonal = np.einsum("puu->pu", information)
-    solid = information.copy()
-    np.einsum("puu->pu", solid)[:] = diagonal + 12.0
-    known = np.where(diagonal > 0, prior.precision, 0.0) + 12.0
-    return np.asarray(np.linalg.slogdet(solid)[1] - np.log(known).sum(axis=1))
+    chance = probability(odds)
+    rows = np.flatnonzero(chance > 0.5)
+    if len(rows):
+        begin = metal.of_rows(rows)
+        found = of_metals.of_rows(rows).fitted(begin, weights[rows])[0]
+        state, _ = better_of(state, chance, found, 1 - chance[rows], rows)
+    return state, chance * (1 - chance)
 
 
 def metal_shares(odds: Array, labels: NDArray[np.intp]) -> Array:
