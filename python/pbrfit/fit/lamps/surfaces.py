@@ -52,7 +52,7 @@ METAL_SHARE = 0.05
 """Share of metals that each label is expected to have before it was looked at."""
 
 ODDS_MAX = 5.0
-"""Largest log odds of one pixel: twelve dozen to one, so that it does not outvote its neighbours."""
+"""Largest log odds of one pixel, twelve dozen to one: it is not to outvote its neighbours."""
 
 BOUND_STEP = 1e-6
 """Distance from 0 and 1 at which the slopes of values at these bounds are taken."""
