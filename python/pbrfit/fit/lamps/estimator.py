@@ -81,8 +81,8 @@ LOOKS: dict[int, tuple[tuple[float, ...], tuple[float, ...]]] = {
 of view and roughnesses are tried, one after the other: wide first, then near the best. Steps from
 the best are degrees; in the first round `FIELDS_OF_VIEW` are tried."""
 
-ROUGHNESSES = 0.1, 0.18, 0.3, 0.45, 0.7
-"""That are tried, half an octave apart, less than what a lobe's width tells."""
+ROUGHNESSES = 0.1, 0.18, 0.3, 0.45, 0.7, 1.0
+"""That are tried, about half an octave apart, less than what a lobe's width tells."""
 
 LOOK_LAST = 4
 """From which round on normals are no longer sought at highlights, and roughness near what it is; a
