@@ -71,19 +71,6 @@ def models(options: argparse.Namespace) -> tuple[Model, ...]:
     return MODELS if options.model == BOTH else (options.model,)
 
 
-cycles_cache = option(
-    "--cycles-cache",
-    metavar="DIR",
-    type=Path,
-    help="where renders by Blender Cycles are kept (default: the user's cache folder)",
-)
-
-
 def folders(what: str) -> Add:
     """`FOLDER ...`, for pictures that are on this machine."""
     return option("folders", metavar="FOLDER", nargs="*", type=Path, help=what)
-
-
-def absolute(path: Path | None) -> Path | None:
-    """A path that means the same to every process."""
-    return None if path is None else path.resolve()

@@ -2,14 +2,14 @@
 
 How to add a suite `speed`:
 
-1. A package `pbrfit_evaluation/speed` whose `__init__.py` has `SUITE = Suite("speed", ...)`, and a
+1. A package `pbrfit_evaluation/speed` whose `figures.py` has `SUITE = Suite("speed", ...)`, and a
    line in `commands.SUITES` with its name and summary. That gives `pbrfit evaluate speed` with
    `--out`, `--overwrite`, `--resume`, `--jobs`, `--cluster`, `--quiet` and `--quick`.
 2. `cases(options)` returns frozen dataclasses that can be pickled, with a `key` that is unique and
    fit for a file; their `repr` says all that the result depends on. It checks the options, too.
 3. `run(case, threads)` measures one, in any process, and returns values that JSON can hold. They
    are kept in `records/KEY.json`; `--resume` uses them again if case and code are the same.
-4. `figures(results)` makes the rows of summary.json from what was finished, which may be nothing.
+4. `rows(results)` makes the rows of summary.json from what was finished, which may be nothing.
 5. `verdicts(results, rows)` says what the figures must be; `sections(results, rows)` is what the
    page shows beside them: tables as data, and PNGs of plots (`plots`) and maps.
 6. Sizes and counts stand in `effort`: name -> (full, with `--quick`); an option of the same name
@@ -41,6 +41,7 @@ Options = argparse.Namespace
 
 
 C = TypeVar("C", bound=Task)
+C_co = TypeVar("C_co", bound=Task, covariant=True)
 """A case: what is measured at a time."""
 
 
@@ -90,13 +91,13 @@ def mean_with_interval(values: Iterable[float]) -> Mean:
 
 
 @dataclass(frozen=True)
-class Results(Generic[C]):
-    """Cases of a part with their records, in the order of the cases."""
+class Results(Generic[C_co]):
+    """Cases of a suite with their records, in the order of the cases."""
 
     options: Options
-    pairs: Sequence[tuple[C, Record]]
+    pairs: Sequence[tuple[C_co, Record]]
 
-    def of(self, **facts: object) -> Results[C]:
+    def of(self, **facts: object) -> Results[C_co]:
         """Those of the cases whose attributes have these values."""
         same = [
             (case, record)
@@ -106,7 +107,7 @@ class Results(Generic[C]):
         return Results(self.options, same)
 
     @property
-    def finished(self) -> list[tuple[C, Values]]:
+    def finished(self) -> list[tuple[C_co, Values]]:
         """Cases that ended well, with what they found."""
         return [(case, record.values) for case, record in self.pairs if record.values is not None]
 
@@ -140,7 +141,7 @@ class Results(Generic[C]):
         found = self.numbers(*path)
         return sum(found) / len(found) if found else math.nan
 
-    def over(self, other: Results[C], name: str) -> float:
+    def over(self, other: Results[Any], name: str) -> float:
         """Mean score over that of others, of seeds that both have; NaN without any, or over 0."""
         one, two = (
             {vars(case)["seed"]: values["scores"][name] for case, values in of.finished}
@@ -199,7 +200,7 @@ class Verdict:
     """What else belongs to the figure: where the worst was found, why the bar is what it is."""
     at_least: bool = False
     part: str = ""
-    """Of the suite; by default that whose verdict it is."""
+    """Of what it judges, where that has several."""
 
     @property
     def holds(self) -> bool:
@@ -362,44 +363,7 @@ def _all_rows(_: Any, rows: Sequence[Row]) -> Sequence[Section]:
 
 
 @dataclass(frozen=True)
-class Part(Generic[C]):
-    """A kind of cases of a suite, with what is made of them."""
-
-    name: str
-    """As `--part` names it, where the suite has several."""
-    cases: Callable[[Options], Sequence[C]]
-    run: Callable[[C, int], Values]
-    figures: Callable[[Results[C]], Sequence[Row]]
-    _: KW_ONLY
-    verdicts: Callable[[Results[C], Sequence[Row]], Iterable[Verdict]] = _nothing
-    sections: Callable[[Results[C], Sequence[Row]], Iterable[Section]] = _all_rows
-    """`cases`, `run`, `figures`, `verdicts` and `sections`: see the top of this file."""
-    files: Callable[[Results[C]], Mapping[str, bytes]] = lambda _: {}
-    """Other files than CSV ones, by name."""
-
-    @classmethod
-    def shown_by(
-        cls,
-        module: Any,
-        name: str,
-        cases: Callable[[Options], Sequence[C]],
-        run: Callable[[C, int], Values],
-        before: str = "",
-    ) -> Part[C]:
-        """A part that functions of a module show: `rows`, and such of the others as it has.
-
-        `before` begins their names.
-        """
-
-        def of(what: str) -> Any:
-            return getattr(module, before + what, None)
-
-        shown = {what: found for what in ("verdicts", "sections", "files") if (found := of(what))}
-        return cls(name, cases, run, of("rows"), **shown)
-
-
-@dataclass(frozen=True)
-class Suite:
+class Suite(Generic[C]):
     """A sub-command of `pbrfit evaluate`."""
 
     name: str
@@ -408,9 +372,15 @@ class Suite:
     protocol: str
     """Name and version of how things are measured: results under one name compare. `{size}` and the
     like are replaced by the options."""
-    parts: Sequence[Part[Any]]
-    """With several, `--part` chooses."""
+    cases: Callable[[Options], Sequence[C]]
+    run: Callable[[C, int], Values]
+    rows: Callable[[Results[C]], Sequence[Row]]
     _: KW_ONLY
+    verdicts: Callable[[Results[C], Sequence[Row]], Iterable[Verdict]] = _nothing
+    sections: Callable[[Results[C], Sequence[Row]], Iterable[Section]] = _all_rows
+    """`cases`, `run`, `rows`, `verdicts` and `sections`: see the top of this file."""
+    files: Callable[[Results[C]], Mapping[str, bytes]] = lambda _: {}
+    """Other files than CSV ones, by name."""
     options: Sequence[Callable[[argparse.ArgumentParser], object]] = ()
     """Functions that add an option to the parser: those of `options`, or such as
     `pbrfit.commands.arguments.add_threads`. With the latter, `run` gets as many threads as are

@@ -35,7 +35,7 @@ COMMANDS: dict[str, tuple[tuple[Any, ...], int, set[str]]] = {
         {"normals.png"},
     ),
     "peers": ((*TINY, *NOWHERE, "--quick"), 2, {"maps-own.png"}),
-    "review": (("--quick", "--no-cycles"), 2, {"judged.csv"}),
+    "review": (("--quick",), 2, {"judged.csv"}),
     "solvers": ((*TINY, "--quick", "--iterations", 3), 13, set()),
     "stability": (("--quick",), 6, set()),
     "table1": (

@@ -27,7 +27,7 @@ SEED, SIZE, PICTURES = 8701, 48, 13
 
 @pytest.fixture(scope="module")
 def truth() -> Room:
-    return room(SEED, SIZE, PICTURES, by_cycles=False, cache=None)
+    return room(SEED, SIZE, PICTURES, by_cycles=False)
 
 
 def test_levels_build_upon_each_other(truth: Room) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,6 @@ import pytest
 from numpy.typing import NDArray
 
 from evaluation_tasks import recorded
-from pbrfit.io import images
 from pbrfit.model.geometry import angles_between
 from pbrfit.model.reflection import DEFAULT_MODEL, MODELS
 from pbrfit.scene.scene import Scene
@@ -91,18 +89,6 @@ def test_our_renderer_uses_the_model_that_is_fitted_but_in_one_row() -> None:
         assert apart.model != model
         assert apart.model in MODELS
         np.testing.assert_array_equal(own.normals, apart.normals)
-
-
-def test_given_normals_are_used(tmp_path: Path) -> None:
-    truth = make_scene("furnished", size=16, lights=4, held_out=4, seed=1001)
-    stored = {name: truth.normals[..., i] for i, name in enumerate("XYZ")}
-    images.write_exr(tmp_path / "1001.exr", stored)
-    off = angles_between(given("normals", predicted_normals=tmp_path).normals, truth.normals)
-    assert off.max() < 0.1
-    with pytest.raises(ValueError, match=r"expected 1000\.exr or 1000\.png, found neither"):
-        given("normals", seed=1000, predicted_normals=tmp_path)
-    with pytest.raises(ValueError, match="expected 24 × 24 pixels, found 16 × 16"):
-        given("normals", size=24, predicted_normals=tmp_path)
 
 
 def test_rows_have_the_papers_figures_and_say_why_some_were_not_run() -> None:

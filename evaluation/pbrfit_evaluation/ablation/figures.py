@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from pbrfit_evaluation.ablation.measure import FEW, GRID, WAYS
+from pbrfit.commands.fit_options import MODEL_OF_PICTURES, add_option
+from pbrfit.model.reflection import DEFAULT_MODEL
+from pbrfit_evaluation.ablation.measure import FEW, GRID, WAYS, run
 from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, pictures, ratios
 from pbrfit_evaluation.grid.figures import rows as grid_rows
 from pbrfit_evaluation.grid.figures import verdicts as of_bars
-from pbrfit_evaluation.suite import Row, Section, Table, Value, Verdict
+from pbrfit_evaluation.options import count
+from pbrfit_evaluation.scores import PROTOCOL as SCORES
+from pbrfit_evaluation.suite import Row, Section, Suite, Table, Value, Verdict
 
 SHOWN = ("roughness", "metallic", "albedo", "albedo_scaled", "relight")
 """Errors in tables."""
@@ -97,3 +101,34 @@ def _held(results: Of) -> Table:
         held = sum(value <= bar.most for bar, value in judged)
         lines.append([way.words, *worst, f"{held} of {len(judged)}"])
     return Table(["priors", *groups, "demands held"], lines)
+
+
+# ------------------------------------------------------------------------------------- the suite
+
+FIRST_SEED = 3000
+"""Priors were designed and their weights chosen on seeds 2000 to 2099; none from 3000 on ever
+served for that."""
+
+SUITE = Suite(
+    name="ablation",
+    title="What the priors are worth",
+    protocol="pbrfit-ablation-1: rooms with noise of 0.01 at a mean radiance of 0.4; "
+    f"{SCORES}; {{size}} pixels, {{iterations}} iterations",
+    cases=GRID.cases,
+    run=run,
+    rows=rows,
+    verdicts=verdicts,
+    sections=sections,
+    options=(
+        lambda parser: add_option(parser, "model", MODEL_OF_PICTURES, DEFAULT_MODEL),
+        *GRID.options(FIRST_SEED, scenes="rooms of each case"),
+        count("--iterations", "N", "of each fit"),
+    ),
+    effort=GRID.effort | {"scenes": (5, 1), "size": (64, 32), "iterations": (500, 60)},
+    about=(
+        "What each prior does to the errors of materials and relighting, in rooms whose ground "
+        "truth is known: with right, wrong and missing segments, and materials that keep to them "
+        "or not. Rooms have 16 pictures with noise of 0.01 at a mean radiance of 0.4, and 16 held "
+        "out. Ratios are to the fit without priors, between mean errors over the rooms.",
+    ),
+)

@@ -59,6 +59,7 @@ GRID = Grid(
     of_condition={name: (*TABLE, FEW[-1]) for name in TITLES if name not in VARIED_IN},
     kinds=("room",),
     pictured=FEW,
+    few_ways=FEW,
 )
 
 

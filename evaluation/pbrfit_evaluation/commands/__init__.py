@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -29,9 +28,8 @@ from pbrfit.commands.arguments import (
 )
 
 if TYPE_CHECKING:
-    from pbrfit_evaluation.jobs import Record
-    from pbrfit_evaluation.report import Outcome
-    from pbrfit_evaluation.suite import Part, Row, Section, Suite, Verdict
+    from pbrfit_evaluation.jobs import Record, Values
+    from pbrfit_evaluation.suite import Suite
 
 SUITES = {
     "ablation": "what each prior is worth, where it holds and where it does not",
@@ -51,7 +49,7 @@ SUITES = {
     "transport": "what depth is worth where light is blocked and bounces",
     "uncertainty": "whether deviations, intervals and verdicts are right where the model is wrong",
 }
-"""Summaries by name; `pbrfit_evaluation.NAME.SUITE` is the suite."""
+"""Summaries by name; `pbrfit_evaluation.NAME.figures.SUITE` is the suite."""
 
 
 def add_suites(suites: Subcommands) -> None:
@@ -62,9 +60,7 @@ def add_suites(suites: Subcommands) -> None:
 
 def _complete(name: str, parser: argparse.ArgumentParser) -> None:
     """Import a suite and add its options."""
-    from pbrfit_evaluation.options import several
-
-    suite: Suite = import_module(f"pbrfit_evaluation.{name}").SUITE
+    suite: Suite[Any] = import_module(f"pbrfit_evaluation.{name}.figures").SUITE
     parser.description = (
         f"{suite.about[0]} Writes report.html with its plots, {name}.md, CSV files and "
         "summary.json. Exit code 1 if something does not hold."
@@ -86,9 +82,6 @@ def _complete(name: str, parser: argparse.ArgumentParser) -> None:
     else:
         add_cluster(parser)
     add_quiet(parser)
-    if len(suite.parts) > 1:
-        names = [part.name for part in suite.parts]
-        several("--part", "NAME", names, what="only these parts")(parser)
     for add in suite.options:
         add(parser)
     few = "few and small scenes, what takes minutes left out"
@@ -116,28 +109,25 @@ def _refused(_: str) -> NoReturn:
     raise argparse.ArgumentTypeError("not for this suite, whose seconds are those of one machine")
 
 
-def run(suite: Suite, options: argparse.Namespace) -> int:
+def run(suite: Suite[Any], options: argparse.Namespace) -> int:
     """Run a suite and write its report; returns the exit code.
 
     Raises KeyboardInterrupt with a message that says how to go on.
     """
     from pbrfit_evaluation import jobs, report
     from pbrfit_evaluation.report import evidence
+    from pbrfit_evaluation.suite import Results
 
     options.effort = "quick" if options.quick else "full"
     for name, of_effort in suite.effort.items():
         if getattr(options, name, None) is None:
             setattr(options, name, of_effort[options.quick])
-    chosen = getattr(options, "part", None)
-    parts = [part for part in suite.parts if not chosen or part.name in chosen]
-    cases = {part.name: list(part.cases(options)) for part in parts}
+    cases = list(suite.cases(options))
     if options.jobs is None and options.cluster is None:
         options.jobs = suite.jobs or os.cpu_count() or 1
     jobs.prepare(options.out, resume=options.resume, overwrite=options.overwrite)
-    todo = [_Job(part.run, case) for part in parts for case in cases[part.name]]
-    records = iter(_measure(todo, options))
-    done = {part.name: [(case, next(records)) for case in cases[part.name]] for part in parts}
-    found = _outcome(suite, parts, options, done)
+    records = _measure(suite, cases, options)
+    found = report.outcome(suite, Results(options, list(zip(cases, records, strict=True))))
     with jobs.publish(options.out) as folder:
         report.write(folder, suite, options, found)
     if options.docs is not None:
@@ -148,31 +138,17 @@ def run(suite: Suite, options: argparse.Namespace) -> int:
             print(f"\nLook at {options.out / report.PAGE}")
     failed = [record.key for record in found.failed]
     if failed:
-        total = sum(map(len, done.values()))
-        complain(f"{len(failed)} of {total} failed: {', '.join(failed)}")
-        return SOME_FAILED if len(failed) < total else UNUSABLE
+        complain(f"{len(failed)} of {len(cases)} failed: {', '.join(failed)}")
+        return SOME_FAILED if len(failed) < len(cases) else UNUSABLE
     held = all(verdict.holds for verdict in found.verdicts)
     return DONE if held else SOME_FAILED
 
 
-@dataclass(frozen=True)
-class _Job:
-    """A case and what runs it, together for another process; the case alone says what it is."""
-
-    run: Callable[[Any, int], Any] = field(repr=False)
-    case: Any
-
-    @property
-    def key(self) -> str:
-        """Of the case."""
-        return str(self.case.key)
+def _do(run: Callable[[Any, int], Values], asked: int, case: Any, threads: int) -> Values:
+    return run(case, asked or threads)
 
 
-def _do(job: _Job, threads: int, *, asked: int) -> Any:
-    return job.run(job.case, asked or threads)
-
-
-def _measure(todo: Sequence[_Job], options: argparse.Namespace) -> list[Record]:
+def _measure(suite: Suite[Any], todo: list[Any], options: argparse.Namespace) -> list[Record]:
     """Run cases with a progress bar; tell failures as they come, those of one reason once."""
     from pbrfit_evaluation import jobs
 
@@ -193,7 +169,7 @@ def _measure(todo: Sequence[_Job], options: argparse.Namespace) -> list[Record]:
         try:
             return jobs.run(
                 todo,
-                partial(_do, asked=getattr(options, "threads", 0)),
+                partial(_do, suite.run, getattr(options, "threads", 0)),
                 options.out,
                 jobs=options.jobs,
                 cluster=options.cluster,
@@ -203,32 +179,3 @@ def _measure(todo: Sequence[_Job], options: argparse.Namespace) -> list[Record]:
             raise KeyboardInterrupt(
                 f"interrupted after {done} of {len(todo)}; --resume goes on from there"
             ) from None
-
-
-def _outcome(
-    suite: Suite,
-    parts: Sequence[Part[Any]],
-    options: argparse.Namespace,
-    done: dict[str, list[tuple[Any, Record]]],
-) -> Outcome:
-    """What the suite makes of the records, all parts together."""
-    from pbrfit_evaluation.report import Outcome
-    from pbrfit_evaluation.suite import Results, csv_files
-
-    rows: list[Row] = []
-    verdicts: list[Verdict] = []
-    sections: list[Section] = []
-    failed: list[Record] = []
-    files: dict[str, Any] = {}
-    for part in parts:
-        results = Results(options, done[part.name])
-        of_part = part.figures(results)
-        rows += of_part
-        name = part.name if len(suite.parts) > 1 else ""
-        verdicts += [replace(one, part=one.part or name) for one in part.verdicts(results, of_part)]
-        sections += part.sections(results, of_part)
-        for file, lines in csv_files(results).items():
-            files.setdefault(file, []).extend(lines)
-        files |= part.files(results)
-        failed += results.failed
-    return Outcome(rows, verdicts, sections, files, failed)

@@ -8,11 +8,12 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from pbrfit_evaluation.everyday.disturbances import DISTURBANCES, TITLES, Disturbance, twin_of
-from pbrfit_evaluation.everyday.measure import GRID, PICTURED, covered
-from pbrfit_evaluation.grid.figures import MAPS, Bar, Metrics, Of, pictures
+from pbrfit_evaluation.everyday.measure import GRID, PICTURED, covered, run
+from pbrfit_evaluation.grid.figures import MAPS, Bar, Metrics, Of, sheets
 from pbrfit_evaluation.grid.figures import rows as grid_rows
 from pbrfit_evaluation.grid.figures import verdicts as of_bars
-from pbrfit_evaluation.suite import Row, Section, Table, Verdict, digits
+from pbrfit_evaluation.scores import PROTOCOL as SCORES
+from pbrfit_evaluation.suite import Row, Section, Suite, Table, Verdict, digits
 
 ERRORS = (*MAPS, "relight")
 
@@ -144,6 +145,32 @@ def sections(results: Of, of_rows: Sequence[Row]) -> Iterator[Section]:
     )
     labels = {name: TITLES[name] for name in PICTURED}
     caption = "One scene: a picture, the maps that were found, and the true ones in the first row."
-    sheets = pictures(results, labels, caption, "everyday-maps", by="condition")
-    if sheets:
-        yield Section("Maps", figures=sheets)
+    yield from sheets("Maps", results, labels, caption, "everyday-maps", by="condition")
+
+
+# ------------------------------------------------------------------------------------- the suite
+
+FIRST_SEED = 2000
+
+SUITE = Suite(
+    name="everyday",
+    title="Everyday pictures",
+    protocol=f"pbrfit-everyday-2: {SCORES}; {{size}} pixels, {{effort}}",
+    cases=GRID.cases,
+    run=run,
+    rows=rows,
+    verdicts=verdicts,
+    sections=sections,
+    options=GRID.options(
+        *(FIRST_SEED, "--disturbances"),
+        scenes="in all; the kinds room, furnished and detailed take turns",
+    ),
+    effort=GRID.effort | {"scenes": (18, 2), "size": (64, 24)},
+    about=(
+        "Fits of scenes whose ground truth is known after what cameras and files do to pictures: "
+        "8 bits, JPEG, clipping, hot samples, a bad picture, tone curves, vignetting, an unknown "
+        "or wrong field of view. Scenes have 16 pictures of mean radiance 0.4 with white noise of "
+        "0.01 in float32; fits have all defaults. docs/everyday.md says what each case is.",
+    ),
+    timed=True,
+)

@@ -34,6 +34,7 @@ GRID = Grid(
     brings={one: (REFERENCE, twin_of(one)) for one in TITLES},
     kinds=KINDS,
     pictured=PICTURED,
+    few=tuple(name for name in TITLES if "444" not in name and "75" not in name),  # JPEG once
 )
 
 

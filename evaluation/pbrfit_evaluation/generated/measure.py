@@ -57,8 +57,7 @@ def run(case: Case, threads: int) -> Values:
     of the same by pbrfit; for some, panels.
     """
     way = WAYS[case.condition]
-    by_cycles, cache = case.kind == "cycles", case.cycles_cache
-    truth = room(case.seed, case.size, case.lights, by_cycles=by_cycles, cache=cache)
+    truth = room(case.seed, case.size, case.lights, by_cycles=case.kind == "cycles")
     pictures, kinds = stand_ins(truth, way.level, case.seed)
     found: dict[str, Any] = {}
     kept = list(range(len(pictures)))

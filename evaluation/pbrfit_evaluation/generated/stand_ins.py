@@ -8,7 +8,6 @@ are in pixels at a width of 96 and grow with the picture.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -62,7 +61,7 @@ class Room:
     pictures: Array
 
 
-def room(seed: int, size: int, lights: int, *, by_cycles: bool, cache: Path | None) -> Room:
+def room(seed: int, size: int, lights: int, *, by_cycles: bool) -> Room:
     """A textured room under soft lights, by Cycles with all light transport, or by our renderer."""
     if by_cycles:
         scene = cycles.render_scene(
@@ -72,7 +71,6 @@ def room(seed: int, size: int, lights: int, *, by_cycles: bool, cache: Path | No
             held_out=HELD_OUT,
             seed=seed,
             samples=SAMPLES,
-            cache=cache,
             threads=1,
         )
     else:

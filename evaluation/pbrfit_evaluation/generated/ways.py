@@ -83,16 +83,13 @@ WAYS: Mapping[str, Handled] = {
 }
 """By key; words are those of tables."""
 
-FEW = ("constant", "exact", "repainted", "together", "maps", "path")
-"""Those of a quick look."""
-
 PICTURED = ("exact", "repainted", "together", "maps", "path")
 """Ways whose maps are shown."""
 
 
 def by_cycles(options: Options) -> bool:
-    """Whether Cycles renders the rooms: where it is there and wanted."""
-    return not (options.quick or options.no_cycles or cycles.why_not())
+    """Whether Cycles renders the rooms: where it is there, but for a quick look."""
+    return not (options.quick or cycles.why_not())
 
 
 def why_not(options: Options, key: str, _: str) -> str:
@@ -101,5 +98,10 @@ def why_not(options: Options, key: str, _: str) -> str:
     return "rooms by our renderer have no depth" if lacks else ""
 
 
-GRID = Grid({key: way.words for key, way in WAYS.items()}, pictured=PICTURED, why_not=why_not)
+GRID = Grid(
+    {key: way.words for key, way in WAYS.items()},
+    pictured=PICTURED,
+    few=("constant", "exact", "repainted", "together", "maps", "path"),
+    why_not=why_not,
+)
 """What is done is the condition; kinds "cycles" and "own" say what renders the rooms."""

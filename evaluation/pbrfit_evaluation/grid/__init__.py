@@ -10,14 +10,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
-from pathlib import Path
 from typing import Any
 
 from pbrfit._core import InputError
 from pbrfit.model.reflection import Model
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.options import Add, absolute, count, first_seed, models, several
+from pbrfit_evaluation.options import Add, count, first_seed, models, several
 from pbrfit_evaluation.panels import of_result, packed
 from pbrfit_evaluation.recipes import Way
 from pbrfit_evaluation.scores import score
@@ -46,8 +45,6 @@ class Case:
     """Of a fit."""
     picture: bool = False
     """Whether its maps are kept for the report."""
-    cycles_cache: Path | None = field(default=None, repr=False)
-    """Where renders by Cycles are kept."""
 
     @property
     def key(self) -> str:
@@ -74,9 +71,12 @@ class Grid:
     of_condition: Mapping[str, Sequence[str]] = field(default_factory=dict)
     """Keys of the ways of a condition that has not all."""
     kinds: Sequence[str] = ("furnished",)
-    """Of scenes, in turn; `--kinds` takes precedence."""
+    """Of scenes, in turn."""
     pictured: Sequence[str] = ()
     """Conditions or ways whose first scene is pictured."""
+    few: Sequence[str] = ()
+    few_ways: Sequence[str] = ()
+    """`few` and `few_ways`: conditions and ways of a quick look, where these are not all."""
     why_not: Callable[[Options, str, str], str] = _always
     """Why a condition or way cannot be run; empty if it can."""
     sized: Callable[[Options, str], tuple[int, int]] = lambda of, _: (of.scenes, of.size)
@@ -101,7 +101,6 @@ class Grid:
         lights = getattr(options, "lights", PICTURES)
         if lights < 2:
             raise InputError(f"--lights: expected at least 2, found {lights}")
-        kinds = getattr(options, "kinds", self.kinds)
         order = list(self.ways)
         return [
             Case(
@@ -109,12 +108,11 @@ class Grid:
                 way=way,
                 seed=options.first_seed + i,
                 size=size,
-                kind=kinds[i % len(kinds)],
+                kind=self.kinds[i % len(self.kinds)],
                 model=model,
                 lights=lights,
                 iterations=getattr(options, "iterations", 500),
                 picture=i == 0 and (condition in self.pictured or way in self.pictured),
-                cycles_cache=absolute(getattr(options, "cycles_cache", None)),
             )
             for condition, way in sorted(self.each(options), key=lambda one: order.index(one[1]))
             if not self.why_not(options, condition, way)
@@ -123,29 +121,35 @@ class Grid:
             for i in range(scenes)
         ]
 
-    def effort(
-        self, few: Sequence[str] = (), few_ways: Sequence[str] = ()
-    ) -> dict[str, tuple[Any, Any]]:
+    @property
+    def words(self) -> dict[str, str]:
+        """What tables call each way, by key."""
+        return {key: way.words for key, way in self.ways.items()}
+
+    @property
+    def effort(self) -> dict[str, tuple[Any, Any]]:
         """Of a suite: all conditions and ways, with `--quick` a few where there are such."""
         conditions, ways = tuple(self.conditions), tuple(self.ways)
-        return {"conditions": (conditions, few or conditions), "ways": (ways, few_ways or ways)}
+        return {
+            "conditions": (conditions, self.few or conditions),
+            "ways": (ways, self.few_ways or ways),
+        }
 
     def options(
         self,
         seed: int | None,
         flag: str = "--conditions",
-        few: Sequence[str] = (),
         *,
         default: str = "all",
         ways: str = "--ways",
-        few_ways: Sequence[str] = (),
         scenes: str = "of a condition",
     ) -> tuple[Add, ...]:
         """Options that such suites share; nothing was tuned on seeds from `seed` on."""
-        shared = [several(flag, "NAME", self.conditions, few, default=default, dest="conditions")]
+        names = self.conditions
+        shared = [several(flag, "NAME", names, self.few, default=default, dest="conditions")]
         if len(self.ways) > 1:
             what = "only these ways to explain a scene"
-            shared.append(several(ways, "NAME", self.ways, few_ways, what=what, dest="ways"))
+            shared.append(several(ways, "NAME", self.ways, self.few_ways, what=what, dest="ways"))
         return (
             *shared,
             count("--scenes", "K", scenes),

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pbrfit_evaluation.grid import Case, Grid
 from pbrfit_evaluation.jobs import Values
 from pbrfit_evaluation.panels import beside_truth, unpacked
-from pbrfit_evaluation.suite import Picture, Results, Row, Verdict
+from pbrfit_evaluation.suite import Picture, Results, Row, Section, Verdict
 
 Of = Results[Case]
 Metrics = Mapping[str, float | None]
@@ -90,6 +90,19 @@ def verdicts(results: Of, bars: Iterable[Bar]) -> Iterator[Verdict]:
 
 def _size(value: float) -> float:
     return math.inf if math.isnan(value) else value
+
+
+def sheets(
+    title: str,
+    results: Of,
+    labels: Mapping[str, str],
+    caption: str,
+    name: str = "maps",
+    by: str = "way",
+) -> Iterator[Section]:
+    """A section of sheets of maps, where cases are pictured; see `pictures`."""
+    if found := pictures(results, labels, caption, name, by):
+        yield Section(title, figures=found)
 
 
 def pictures(

@@ -41,6 +41,8 @@ MAPS = ("albedo", "roughness", "metallic")
 MATERIAL, ANGLE = 1e-2, 0.3
 """Largest RMSE of a map, and largest mean angle in degrees, of a scene that came back."""
 
+PARTS = ("rooms", "exact")
+
 TRUE = "true"
 """Condition of a scene with true normals."""
 
@@ -49,20 +51,23 @@ EXACT_DEGREES = 10.0
 """Disturbances without noise, and their θ."""
 
 
-def rooms(options: Options) -> Grid:
-    """Every disturbance by every θ that is asked for, and true normals."""
-    found = {TRUE: "true normals"}
-    for kind in DISTURBANCES:
-        for theta in sorted(set(options.degrees)) if kind in options.disturbances else ():
-            found[f"{kind}-{theta:g}"] = f"{kind} {theta:g}°"
-    return Grid(found, REFINE, kinds=KINDS)
+def grid_of(options: Options) -> Grid:
+    """Every disturbance by every θ that is asked for, and true normals; some without noise."""
+    found = {}
+    if "rooms" in options.part:
+        found[TRUE] = "true normals"
+        for kind in DISTURBANCES:
+            for theta in sorted(set(options.degrees)) if kind in options.disturbances else ():
+                found[f"{kind}-{theta:g}"] = f"{kind} {theta:g}°"
+    exact = [kind for kind in EXACT if kind in options.disturbances and "exact" in options.part]
+    titles = {f"exact-{kind}": f"no noise, {kind} {EXACT_DEGREES:g}°" for kind in exact}
+    on_alone = {condition: ["on"] for condition in titles}
+    return Grid(found | titles, REFINE, of_condition=on_alone, kinds=KINDS)
 
 
-def exact(options: Options) -> Grid:
-    """Disturbances without noise, as far as they are asked for."""
-    kinds = [kind for kind in EXACT if kind in options.disturbances]
-    titles = {f"exact-{kind}": f"no noise, {kind} {EXACT_DEGREES:g}°" for kind in kinds}
-    return Grid(titles, {"on": REFINE["on"]}, kinds=KINDS)
+def is_exact(condition: str) -> bool:
+    """Whether its scenes have no noise."""
+    return condition.startswith("exact-")
 
 
 def turn_of(condition: str) -> tuple[str, float]:
@@ -73,7 +78,7 @@ def turn_of(condition: str) -> tuple[str, float]:
 
 def run(case: Case, threads: int) -> dict[str, Any]:
     """Scores, angles and decision of a fit; without noise, whether the scene came back."""
-    noisy = not case.condition.startswith("exact")
+    noisy = not is_exact(case.condition)
     scene = given = make_scene(
         case.kind,
         size=case.size,

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
+from typing import get_args
 
-from pbrfit_evaluation.grid.figures import Of, pictures
+from pbrfit.acquire.marigold import MATERIALS_MODEL
+from pbrfit.acquire.weights import Device
+from pbrfit_evaluation.grid.figures import Of, sheets
 from pbrfit_evaluation.grid.figures import rows as grid_rows
-from pbrfit_evaluation.peers.measure import GRID, WAYS
+from pbrfit_evaluation.options import count, option
+from pbrfit_evaluation.peers import rgbx
+from pbrfit_evaluation.peers.measure import GRID, Task, work
+from pbrfit_evaluation.scores import PROTOCOL as SCORES
 from pbrfit_evaluation.scores import Scores
-from pbrfit_evaluation.suite import Column, Row, Section, Table
+from pbrfit_evaluation.suite import Column, Options, Row, Section, Suite, Table
 
 SHOWN = ("albedo", "albedo_scaled", "roughness", "metallic", "relight", "relight_scaled")
 """Columns of the tables."""
@@ -27,7 +33,84 @@ def sections(results: Of, rows: Sequence[Row]) -> Iterator[Section]:
     yield Section("Errors", told, [Table.of(rows, columns)])
     plain = [replace(row, metrics={one: row.metrics.get(one) for one in SHOWN}) for row in rows]
     yield Section("In short", "RMSE without intervals.", [Table.of(plain, columns)])
-    labels = {key: way.words for key, way in WAYS.items()}
-    sheets = pictures(results, labels, "The first scene: the truth, and what was found.")
-    if sheets:
-        yield Section("Maps", figures=sheets)
+    caption = "The first scene: the truth, and what was found."
+    yield from sheets("Maps", results, GRID.words, caption)
+
+
+# ------------------------------------------------------------------------------------- the suite
+
+FIRST_SEED = 6000
+
+
+def cases(options: Options) -> list[Task]:
+    """Every scene by every method that can run."""
+    return [
+        Task(
+            **vars(case),
+            samples=options.samples,
+            steps=options.steps,
+            longer_side=options.longer_side,
+            checkpoint=getattr(options, case.way, None),
+            device=options.device,
+        )
+        for case in GRID.cases(options)
+    ]
+
+
+SUITE = Suite(
+    name="peers",
+    title="Peers that see one picture",
+    protocol="pbrfit-peers-2: synthetic rooms; peers see one picture, the most evenly lit, in "
+    "8-bit sRGB with its 98th percentile at white, our fit all pictures, with noise of 0.01, and "
+    f"normals as an estimator gives them, with which all are relit; {SCORES.partition(': ')[2]}",
+    cases=cases,
+    run=work,
+    rows=rows,
+    sections=sections,
+    options=(
+        *GRID.options(FIRST_SEED, scenes="how many"),
+        count("--cycles-scenes", "K", "rendered by Blender Cycles, where it is set up"),
+        count("--cycles-size", "PIXELS", "of their pictures"),
+        option(
+            "--marigold",
+            metavar="ID|FOLDER",
+            default=MATERIALS_MODEL,
+            help="Marigold-IID (default: %(default)s)",
+        ),
+        option(
+            "--rgbx", metavar="ID|FOLDER", default=rgbx.MODEL, help="RGB-X (default: %(default)s)"
+        ),
+        option(
+            "--device",
+            choices=get_args(Device),
+            default="auto",
+            help="where peers compute; auto = a GPU, else cpu",
+        ),
+    ),
+    effort=GRID.effort
+    | {
+        "scenes": (10, 2),
+        "size": (256, 64),
+        "cycles_scenes": (5, 0),
+        "cycles_size": (128, 32),
+        "lights": (16, 8),
+        "iterations": (500, 60),
+        "samples": (5, 1),
+        "steps": (None, 4),
+        "longer_side": (1000, 256),
+    },
+    about=(
+        "Marigold-IID and RGB-X find materials in one picture of synthetic scenes, our fit in all "
+        "pictures. A peer whose packages (pbrfit[diffusion]) or weights are missing is left out, "
+        "and the report says why.",
+        "A peer sees neither normals nor other lights; what it has is what it learnt from other "
+        "scenes. So this is no race: it says what several pictures are worth beside one. A single "
+        "picture cannot tell how bright the lamp was, so albedo and relit pictures are also "
+        "compared after the best factor a channel (“scaled”).",
+        "In whose favour: our renders are of our model, lights of low order without shadows or "
+        "light between surfaces, which our fit expects and which peers, trained on path-traced or "
+        "real rooms, have never seen. The rooms by Cycles have both, and no depth is given.",
+    ),
+    timed=True,
+    jobs=1,  # a network may fill the GPU
+)

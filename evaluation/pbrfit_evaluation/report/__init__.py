@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from html import escape
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from pbrfit.report import html
 from pbrfit.report.html import Cell, address, paragraph
@@ -18,12 +19,14 @@ from pbrfit_evaluation.report.summary import machine, write_summary
 from pbrfit_evaluation.suite import (
     Line,
     Picture,
+    Results,
     Row,
     Section,
     Suite,
     Table,
     Value,
     Verdict,
+    csv_files,
     digits,
 )
 
@@ -32,7 +35,7 @@ PAGE = "report.html"
 UNTOLD = frozenset(
     {
         *("command", "out", "overwrite", "resume", "quiet", "default_jobs", "part", "effort"),
-        *("quick", "docs", "jobs", "cluster", "cycles_cache", "spelled", "defaults"),
+        *("quick", "docs", "jobs", "cluster", "spelled", "defaults"),
     }
 )
 """Options that a reader of a report does not ask for, or finds elsewhere in it."""
@@ -52,7 +55,19 @@ class Outcome:
     failed: Sequence[Record]
 
 
-def write(folder: Path, suite: Suite, options: argparse.Namespace, found: Outcome) -> None:
+def outcome(suite: Suite[Any], results: Results[Any]) -> Outcome:
+    """What a suite makes of its records."""
+    rows = suite.rows(results)
+    return Outcome(
+        rows,
+        list(suite.verdicts(results, rows)),
+        list(suite.sections(results, rows)),
+        {**csv_files(results), **suite.files(results)},
+        results.failed,
+    )
+
+
+def write(folder: Path, suite: Suite[Any], options: argparse.Namespace, found: Outcome) -> None:
     """Write `report.html`, its plots and pictures, `NAME.md`, CSV files and `summary.json`."""
     sections = [*_judged(found.verdicts), *found.sections, *_failures(found.failed)]
     (folder / PAGE).write_text(
@@ -75,7 +90,7 @@ def write(folder: Path, suite: Suite, options: argparse.Namespace, found: Outcom
     )
 
 
-def command_of(suite: Suite, options: argparse.Namespace) -> str:
+def command_of(suite: Suite[Any], options: argparse.Namespace) -> str:
     """What makes the figures again: options that are not the defaults, folders by name."""
     words = ["pbrfit", "evaluate", suite.name, *(["--quick"] if options.quick else [])]
     for name, spelled in options.spelled.items():
@@ -109,7 +124,7 @@ def lines(found: Outcome) -> list[str]:
     return markdown(tables[0]).splitlines() if tables else []
 
 
-def _opening(suite: Suite, options: argparse.Namespace, found: Outcome) -> list[str]:
+def _opening(suite: Suite[Any], options: argparse.Namespace, found: Outcome) -> list[str]:
     on = machine()
     asked = {
         name: value

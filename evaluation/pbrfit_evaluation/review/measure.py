@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -35,7 +34,6 @@ class Task:
     size: int
     pictures: int
     sets: int
-    cache: Path | None = field(default=None, repr=False)
 
     @property
     def source(self) -> str:
@@ -64,7 +62,6 @@ def work(task: Task, threads: int) -> Values:
         task.seed,
         size=task.size,
         count=task.pictures + 1,
-        cache=task.cache,
         threads=threads,
     )
     pictures = [camera(picture) for picture in view.pictures]

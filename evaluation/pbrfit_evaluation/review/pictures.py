@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -46,7 +45,6 @@ def relights(
     *,
     size: int,
     count: int,
-    cache: Path | None = None,
     threads: int = 1,
 ) -> View:
     """Render `count` pictures of a scene.
@@ -59,7 +57,7 @@ def relights(
         scene = make_scene(kind, size=size, lights=count, held_out=1, seed=seed)
         linear = scene.images
     else:
-        linear, scene = _by_cycles(kind, renderer, seed, rng, size, count, cache, threads)
+        linear, scene = _by_cycles(kind, renderer, seed, rng, size, count, threads)
     assert scene.segments is not None
     return View(np.stack([exposed(picture, rng) for picture in linear]), scene.segments)
 
@@ -81,7 +79,6 @@ def _by_cycles(
     rng: np.random.Generator,
     size: int,
     count: int,
-    cache: Path | None,
     threads: int,
 ) -> tuple[Array, Scene]:
     from pbrfit_evaluation import cycles
@@ -96,7 +93,6 @@ def _by_cycles(
             held_out=1,
             seed=seed,
             samples=samples,
-            cache=cache,
             threads=threads,
         )
 

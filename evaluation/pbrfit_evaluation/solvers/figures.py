@@ -8,8 +8,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, by_seed
 from pbrfit_evaluation.grid.figures import rows as grid_rows
 from pbrfit_evaluation.grid.figures import verdicts as of_bars
-from pbrfit_evaluation.solvers.measure import GRID, NOISE, RESIDUAL
-from pbrfit_evaluation.suite import Row, Verdict
+from pbrfit_evaluation.options import count
+from pbrfit_evaluation.solvers.measure import GRID, NOISE, RESIDUAL, run
+from pbrfit_evaluation.suite import Row, Suite, Verdict
 
 EXACT_SHARE = 64 / 67
 """Share of the rooms without noise that have to be exact, at least."""
@@ -89,3 +90,32 @@ def _highest(what: str, above: Mapping[int, float], bar: float) -> Iterator[Verd
         worst = max(above, key=lambda seed: above[seed])
         many = f"above in {sum(value > bar for value in above.values())} of {len(above)}"
         yield Verdict(what, above[worst], bar, f"seed {worst}; {many}")
+
+
+# ------------------------------------------------------------------------------------- the suite
+
+FIRST_SEED = 1000
+"""Rooms from here on are those of `pbrfit evaluate table1`."""
+
+SUITE = Suite(
+    name="solvers",
+    title="The second-order solver",
+    protocol="pbrfit-solvers-1, {effort}",
+    cases=GRID.cases,
+    run=run,
+    rows=rows,
+    verdicts=verdicts,
+    options=(
+        *GRID.options(FIRST_SEED, scenes="of every condition (default: as each needs)"),
+        count("--iterations", "K", "of a fit"),
+    ),
+    effort=GRID.effort
+    | {"scenes": ((67, 10), (2, 1)), "size": (128, 32), "iterations": (500, 100)},
+    about=(
+        "Whether the second-order solver “gauss-newton” reaches what it is there for, beside "
+        "“lbfgsb”, scipy's L-BFGS-B, in rooms without noise, to the last digits, and with noise. "
+        "docs/solvers.md says what is measured, and what must hold.",
+    ),
+    jobs=1,
+    timed=True,
+)

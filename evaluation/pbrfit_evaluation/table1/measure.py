@@ -8,12 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pbrfit._core import InputError
-from pbrfit.io.normal_files import read_normals
 from pbrfit.model.lamps import Lamps
-from pbrfit.scene.arrays import unit_normals
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import World, draw, make_scene
 from pbrfit_evaluation import cycles, grid
@@ -57,10 +53,8 @@ class Case(grid.Case):
 
     textures: Path | None = None
     """Folder of PBR maps for detailed scenes; None = procedural."""
-    predicted_normals: Path | None = None
-    """Folder that holds SEED.exr or SEED.png by an estimator; None = simulated."""
     inputs: str = ""
-    """Digest of what is read from these two."""
+    """Digest of these."""
 
 
 def run(case: Case, threads: int) -> dict[str, Any]:
@@ -99,7 +93,6 @@ def cycles_scene(case: grid.Case, row: Row, threads: int) -> Scene:
         lights=case.lights,
         held_out=case.lights,
         seed=case.seed,
-        cache=case.cycles_cache,
         threads=threads,
     )
 
@@ -126,27 +119,5 @@ def as_given(scene: Scene, case: Case) -> Scene:
     """What the decomposition is given, which may be wrong."""
     row = BY_KEY[case.condition]
     if row.normals == "predicted":
-        scene = replace(scene, normals=_predicted(scene, case))
+        scene = replace(scene, normals=estimated(scene, case.seed))
     return scene if row.fov == scene.fov else replace(scene, fov=row.fov)
-
-
-def predicted_files(folder: Path, seed: int) -> list[Path]:
-    """Where the normals of a scene by an estimator may be."""
-    return [folder / f"{seed}{suffix}" for suffix in (".exr", ".png")]
-
-
-def _predicted(scene: Scene, case: Case) -> NDArray[np.float64]:
-    folder = case.predicted_normals
-    if folder is None:
-        return estimated(scene, case.seed)
-    paths = predicted_files(folder, case.seed)
-    for path in paths:
-        if path.exists():
-            normals = read_normals(path).vectors
-            if normals.shape != scene.normals.shape:
-                height, width = normals.shape[:2]
-                raise InputError(
-                    f"{path}: expected {case.size} × {case.size} pixels, found {width} × {height}"
-                )
-            return unit_normals(normals, scene.valid)
-    raise InputError(f"{folder}: expected {paths[0].name} or {paths[1].name}, found neither")

@@ -45,7 +45,7 @@ class Row:
     transport: Literal["brdf", "shadows", "full"] = "full"
     """`light` and `transport`: of Cycles: see `pbrfit_evaluation.cycles.render_scene`."""
     normals: NormalSource = "true"
-    """The true ones, or those of a simulated or given estimator."""
+    """The true ones, or those of a simulated estimator."""
     refine_normals: RefineNormals = "off"
     """As for `pbrfit.decompose`."""
     sh_order: int = 3

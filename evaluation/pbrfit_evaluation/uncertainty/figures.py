@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from pbrfit.model.reflection import DEFAULT_MODEL, MODELS
 from pbrfit.result.verdict import (
     LEVELS,
     PARAMETERS,
@@ -17,10 +18,11 @@ from pbrfit.result.verdict import (
 )
 from pbrfit_evaluation.grid.figures import Metrics, Of
 from pbrfit_evaluation.grid.figures import rows as grid_rows
+from pbrfit_evaluation.options import option
 from pbrfit_evaluation.plots import draw, dress, mark, panels, png
-from pbrfit_evaluation.suite import Picture, Row, Section, Table, Value, Verdict, digits
+from pbrfit_evaluation.suite import Picture, Row, Section, Suite, Table, Value, Verdict, digits
 from pbrfit_evaluation.uncertainty.conditions import CONDITIONS, GROUPS, Condition
-from pbrfit_evaluation.uncertainty.measure import GRID, Array
+from pbrfit_evaluation.uncertainty.measure import GRID, Array, run
 
 COVERED = (0.9, 0.99)
 """Share of the errors within two deviations, at least and at most: of a Gaussian 0.954."""
@@ -173,3 +175,37 @@ def _expected(results: Of) -> Picture:
         f"diagonal. What is below {LEAST_ERROR:g} is drawn there."
     )
     return Picture("verdicts", caption, png(figure))
+
+
+# ------------------------------------------------------------------------------------- the suite
+
+FIRST_SEED = 9300
+
+SUITE = Suite(
+    name="uncertainty",
+    title="Is the uncertainty right?",
+    protocol="pbrfit-uncertainty-2: values of maps within their deviations and intervals, RMSE of "
+    "maps by their verdicts; {size} pixels, model {model}, {effort}",
+    cases=GRID.cases,
+    run=run,
+    rows=rows,
+    verdicts=verdicts,
+    sections=sections,
+    options=(
+        *GRID.options(FIRST_SEED, "--rows"),
+        option(
+            "--model",
+            choices=MODELS,
+            default=DEFAULT_MODEL,
+            help="that is fitted, of `pbrfit decompose --model` (default: %(default)s)",
+        ),
+    ),
+    effort=GRID.effort | {"scenes": (10, 1), "size": (64, 32)},
+    about=(
+        "Rooms with known materials, 16 pictures each, fitted with all defaults. In some rows the "
+        "pictures are as the model has them, in others something is wrong that no fit knows of: "
+        "normals, field of view, order of the lights or reflection model, files of 8 bits, "
+        "shadows, bounced light, lamps. A posterior is right where the errors of its values are "
+        "as large as it says, whatever is wrong. docs/uncertainty.md says what must hold.",
+    ),
+)
