@@ -21,8 +21,7 @@ from pbrfit.io import images
 from pbrfit.io.color import encode_srgb
 from pbrfit.io.output import FolderForm, new_folder
 from pbrfit.synthetic import make_scene
-from pbrfit_evaluation.review.damage import Kind, damaged
-from pbrfit_evaluation.review.pictures import relights
+from pbrfit_evaluation.review.pictures import Kind, damaged, relights
 
 SEED = 2003
 PICTURES = 12

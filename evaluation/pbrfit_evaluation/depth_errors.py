@@ -19,9 +19,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 
-from pbrfit_evaluation.normal_errors import Array, Floats, smooth
+from pbrfit_evaluation.arrays import Array, Floats, Mask
+from pbrfit_evaluation.normal_errors import smooth
 
 BLUR = 0.75
 """Standard deviation in pixels: a step takes 2 pixels from a tenth to nine tenths."""
@@ -58,7 +58,7 @@ def disturbed(depth: Floats, rng: Generator, *, noise: float = NOISE) -> Array:
     return np.where(known, np.maximum(found, LEAST * true), np.nan)
 
 
-def _blurred(values: Array, known: NDArray[np.bool_], width: float) -> Array:
+def _blurred(values: Array, known: Mask, width: float) -> Array:
     """Gaussian means over known pixels."""
     from scipy.ndimage import gaussian_filter
 

@@ -19,8 +19,9 @@ from scipy.ndimage import gaussian_filter
 
 from pbrfit.model.materials import Materials
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.normal_errors import Array, filled, smooth
-from pbrfit_evaluation.recipes import known, within
+from pbrfit_evaluation.arrays import Array, filled, known
+from pbrfit_evaluation.normal_errors import smooth
+from pbrfit_evaluation.recipes import within
 
 HUE, TONE, ROUGHNESS, METALLIC = 0.12, 0.2, 0.12, 0.15
 """Standard deviations of an object: of logarithms of a channel and of all, and of both values."""

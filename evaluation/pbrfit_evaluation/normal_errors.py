@@ -28,9 +28,7 @@ from numpy.typing import NDArray
 
 from pbrfit.model.geometry import angles_between
 from pbrfit.scene.scene import Scene
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.floating[Any]]
+from pbrfit_evaluation.arrays import Array, Floats, filled, unit
 
 LOWEST_COSINE = 0.05
 """Of normal and view direction: normals that are given face the camera."""
@@ -78,20 +76,6 @@ def facing(normals: Floats, views: Floats) -> Array:
     """
     missing = np.maximum(LOWEST_COSINE - np.einsum("...i,...i->...", normals, views), 0.0)
     return unit(normals + missing[..., None] * views)
-
-
-def unit(vectors: Floats) -> Array:
-    """Vectors (..., 3) of length 1."""
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
-
-
-def filled(vectors: Floats, valid: NDArray[np.bool_]) -> Array:
-    """Vectors (H, W, 3), outside the mask those of the nearest pixel inside."""
-    from scipy.ndimage import distance_transform_edt
-
-    nearest = distance_transform_edt(~valid, return_distances=False, return_indices=True)
-    found: Array = np.asarray(vectors, dtype=np.float64)[tuple(nearest)]
-    return found
 
 
 # ------------------------------------------------------------------------------- an estimator

@@ -8,9 +8,8 @@ import pytest
 from evaluation_tasks import recorded
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
-from pbrfit_evaluation.ablation import cases, figures
-from pbrfit_evaluation.ablation.cases import TITLES, case
-from pbrfit_evaluation.ablation.measure import GRID
+from pbrfit_evaluation.ablation import figures, measure
+from pbrfit_evaluation.ablation.measure import GRID, TITLES, case
 from pbrfit_evaluation.grid.figures import Of
 from pbrfit_evaluation.scores import Scores
 from scene_files import known, truth_of
@@ -18,7 +17,7 @@ from scene_files import known, truth_of
 SIZE, SEED = 24, 2000
 
 
-def segments_of(scene: Scene) -> cases.Ids:
+def segments_of(scene: Scene) -> measure.Ids:
     return known(scene.segments)
 
 
@@ -46,8 +45,8 @@ def test_roughness_varies_inside_segments_and_nothing_else_does() -> None:
             means.append(abs(found.roughness[here].mean() - before.roughness[here].mean()))
     assert len(deviations) >= 10
     assert min(deviations) >= 0.06  # some of a pattern may be clipped
-    assert max(deviations) <= cases.SPREAD[1] + 1e-12
-    assert np.median(deviations) >= cases.SPREAD[0]
+    assert max(deviations) <= measure.SPREAD[1] + 1e-12
+    assert np.median(deviations) >= measure.SPREAD[0]
     assert max(means) < 0.05
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from pbrfit_evaluation import cycles
-from pbrfit_evaluation.ablation.cases import TITLES as ABLATED
+from pbrfit_evaluation.ablation.measure import TITLES as ABLATED
 from scene_files import run
 
 TINY = ("--scenes", 1, "--size", 12)

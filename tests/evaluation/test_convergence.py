@@ -17,15 +17,19 @@ from pbrfit import Materials
 from pbrfit.fit.objective import Objective
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.convergence import figures
-from pbrfit_evaluation.convergence.cases import CASES, Case, make, trial, true_lighting
 from pbrfit_evaluation.convergence.measure import (
+    CASES,
     QUANTITIES,
     Budget,
+    Case,
     Point,
     Tracker,
     first_reached,
+    make,
     measure,
     median_reached,
+    trial,
+    true_lighting,
 )
 from pbrfit_evaluation.convergence.solvers import Task, fit_with_ours
 from pbrfit_evaluation.jobs import Record

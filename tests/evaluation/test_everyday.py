@@ -15,8 +15,9 @@ from pbrfit.fit.decompose import decompose
 from pbrfit.io.color import encode_srgb
 from pbrfit.model.reflection import render
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.everyday import disturbances, figures, measure
-from pbrfit_evaluation.everyday.disturbances import (
+from pbrfit_evaluation.everyday import figures, measure
+from pbrfit_evaluation.everyday.figures import MOST
+from pbrfit_evaluation.everyday.measure import (
     BAD_PICTURE,
     NOISE,
     PICTURES,
@@ -25,7 +26,6 @@ from pbrfit_evaluation.everyday.disturbances import (
     disturbed,
     twin_of,
 )
-from pbrfit_evaluation.everyday.figures import MOST
 from pbrfit_evaluation.grid import Case
 from scene_files import known, truth_of
 
@@ -68,14 +68,14 @@ def test_what_is_not_disturbed_is_the_reference(disturbance: Any, noise: Scene) 
         assert not changed[others()].any()
         assert changed[BAD_PICTURE].mean() > 0.9
     elif disturbance == "hot":
-        assert changed.mean() == pytest.approx(disturbances.HOT_SHARE, rel=0.5)
-        most = disturbances.HOT_RANGE * noise.images.mean()
+        assert changed.mean() == pytest.approx(measure.HOT_SHARE, rel=0.5)
+        most = measure.HOT_RANGE * noise.images.mean()
         assert 0.5 * most < found[changed].max() <= most
     else:
         limit = found.max()
         np.testing.assert_array_equal(found, np.minimum(before, limit))
         if disturbance == "clipped":
-            assert limit == np.float32(disturbances.CLIPPED_AT)
+            assert limit == np.float32(measure.CLIPPED_AT)
         else:
             assert changed.mean() == pytest.approx(0.002, rel=0.1)
 
@@ -85,7 +85,7 @@ def test_files_of_8_bits_clip_the_brightest_half_percent(noise: Scene) -> None:
     assert png.source is not None
     sound = (known(png.limits) == 0).all(axis=-1)
     assert 0 < np.mean(~sound) < 3 * 0.005 + 0.02  # of pixels with a clipped or without a code
-    white = np.quantile(noise.images, disturbances.UNCLIPPED)
+    white = np.quantile(noise.images, measure.UNCLIPPED)
     written = 255 * encode_srgb(noise.images[sound] / white)
     codes = 255 * encode_srgb(png.images[sound])
     np.testing.assert_allclose(codes, np.round(codes), atol=1e-3)

@@ -13,8 +13,7 @@ from typing import Any
 import pytest
 
 from pbrfit._core import InputError
-from pbrfit_evaluation.report import evidence, markdown
-from pbrfit_evaluation.report.summary import write_summary
+from pbrfit_evaluation.report import evidence, markdown, write_summary
 from pbrfit_evaluation.suite import Row, Table
 
 ROOT = Path(__file__).resolve().parents[2]

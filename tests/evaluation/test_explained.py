@@ -20,6 +20,7 @@ from pbrfit.fit.decompose import decompose
 from pbrfit.model.lamps import Lamps
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation import cycles, recipes
+from pbrfit_evaluation.arrays import unit
 from pbrfit_evaluation.explained import measure
 from pbrfit_evaluation.explained.measure import (
     LAMPS,
@@ -30,9 +31,8 @@ from pbrfit_evaluation.explained.measure import (
     told,
 )
 from pbrfit_evaluation.grid import Case
-from pbrfit_evaluation.normal_errors import unit
 from pbrfit_evaluation.table1 import measure as table1
-from pbrfit_evaluation.table1.rows import BY_KEY as TABLE1
+from pbrfit_evaluation.table1.measure import BY_KEY as TABLE1
 from pbrfit_evaluation.transport.figures import CHOICES
 from scene_files import known, run
 

@@ -13,10 +13,11 @@ from pbrfit import relight
 from pbrfit.export import export_result
 from pbrfit_evaluation import cycles
 from pbrfit_evaluation.cycles.blender import rendered_export
-from pbrfit_evaluation.generated.measure import given, reviewed
-from pbrfit_evaluation.generated.stand_ins import (
+from pbrfit_evaluation.generated.measure import (
     LEVELS,
     Room,
+    given,
+    reviewed,
     room,
     stand_ins,
 )

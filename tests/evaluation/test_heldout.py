@@ -24,6 +24,7 @@ from pbrfit.model.materials import Materials
 from pbrfit.scene.correction import Correction
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
+from pbrfit_evaluation.arrays import unit
 from pbrfit_evaluation.heldout import figures, measure, sources
 from pbrfit_evaluation.heldout.baselines import Baseline, explained_by_kept
 from pbrfit_evaluation.heldout.light import (
@@ -31,8 +32,7 @@ from pbrfit_evaluation.heldout.light import (
     relative_error,
 )
 from pbrfit_evaluation.heldout.measure import Task, Way, split
-from pbrfit_evaluation.heldout.public_sets import SETS, Source
-from pbrfit_evaluation.normal_errors import unit
+from pbrfit_evaluation.heldout.sources import SETS, Source
 from scene_files import known, run, truth_of
 
 Array = NDArray[np.float64]
@@ -251,7 +251,7 @@ def found(error: float) -> dict[str, Any]:
 
 
 def test_regret_is_beside_the_best_of_ours() -> None:
-    a, b = (Source(name, Path(name), "scene", 8, "", name == "b") for name in "ab")
+    a, b = (Source(name, Path(name), "scene", 8, name == "b") for name in "ab")
     errors: dict[Source, dict[Way, float]] = {
         a: {"default": 0.11, "lamps": 0.10, "paper": 0.2, "lambert": 0.05, "nearest": 0.11},
         b: {"default": 0.2, "lamps": 0.3, "paper": 0.19, "lambert": 0.4, "nearest": 0.1},

@@ -9,9 +9,8 @@ import pytest
 
 from pbrfit.io.color import encode_srgb
 from pbrfit.registration import alignment
-from pbrfit_evaluation.review.damage import AREA, REPAINTS, SEEN, damaged
 from pbrfit_evaluation.review.figures import Rate
-from pbrfit_evaluation.review.pictures import relights
+from pbrfit_evaluation.review.pictures import AREA, REPAINTS, SEEN, damaged, relights
 
 VIEW = relights("furnished", "own", 2020, size=160, count=2)
 

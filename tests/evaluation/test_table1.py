@@ -17,8 +17,7 @@ from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.normal_errors import LOWEST_COSINE, as_estimated, estimated
 from pbrfit_evaluation.table1 import measure
 from pbrfit_evaluation.table1.figures import METRICS, rows
-from pbrfit_evaluation.table1.measure import Case
-from pbrfit_evaluation.table1.rows import BY_KEY, ROWS
+from pbrfit_evaluation.table1.measure import BY_KEY, ROWS, Case
 from scene_files import known
 
 

@@ -15,18 +15,17 @@ from evaluation_tasks import recorded
 from pbrfit.model.geometry import angles_between
 from pbrfit.result.verdict import PARAMETERS, ROUGH_ERROR, USABLE_ERROR, deserved
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.everyday.disturbances import NOISE
+from pbrfit_evaluation.everyday.measure import NOISE
 from pbrfit_evaluation.grid import Case
 from pbrfit_evaluation.suite import Results
 from pbrfit_evaluation.uncertainty import figures
-from pbrfit_evaluation.uncertainty.conditions import CONDITIONS, NAMES, Name, made
 from pbrfit_evaluation.uncertainty.figures import (
     ABOVE_GUESS,
     COVERED,
     UNDETERMINED_WRONG,
     USABLE_RIGHT,
 )
-from pbrfit_evaluation.uncertainty.measure import calibration
+from pbrfit_evaluation.uncertainty.measure import CONDITIONS, NAMES, Name, calibration, made
 from scene_files import truth_of
 
 SEED = 7

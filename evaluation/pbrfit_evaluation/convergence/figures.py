@@ -12,15 +12,18 @@ from typing import TYPE_CHECKING, Any
 
 from pbrfit._core import InputError
 from pbrfit.commands.fit_options import MODEL_OF_PICTURES, add_option
-from pbrfit_evaluation.convergence.cases import CASES, Case, chosen, trial
 from pbrfit_evaluation.convergence.measure import (
+    CASES,
     QUANTITIES,
     Budget,
+    Case,
     Point,
     Quantity,
     Tracker,
+    chosen,
     first_reached,
     median_reached,
+    trial,
 )
 from pbrfit_evaluation.convergence.solvers import BY_NAME, Task, asked
 from pbrfit_evaluation.heldout.sources import find_sources

@@ -16,8 +16,7 @@ from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.convergence import torch_peer
-from pbrfit_evaluation.convergence.cases import Case
-from pbrfit_evaluation.convergence.measure import Budget, Tracker
+from pbrfit_evaluation.convergence.measure import Budget, Case, Tracker
 from pbrfit_evaluation.recipes import paper_start
 from pbrfit_evaluation.suite import Options
 

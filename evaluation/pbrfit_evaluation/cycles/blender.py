@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit_evaluation.arrays import Array
 from pbrfit_evaluation.cycles.process import find_python, run_worker
 
 WORKER = Path(__file__).with_name("opened.py")
@@ -24,7 +24,7 @@ def rendered_export(
     panoramas: Sequence[Path],
     *,
     samples: int = 256,
-) -> NDArray[np.float64]:
+) -> Array:
     """Pictures (M, size, size, 3), linear Rec.709, of an exported square scene, `material.glb`.
 
     Under panoramas, EXR files as `pbrfit export` writes them, with so many light paths a pixel.

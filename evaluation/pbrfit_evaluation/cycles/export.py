@@ -24,9 +24,9 @@ from pbrfit.model.geometry import view_directions
 from pbrfit.synthetic.geometry import Box, Cylinder, Plane, Primitive, Sphere, trace
 from pbrfit.synthetic.surfaces import Spots
 from pbrfit.synthetic.world import World
-from pbrfit_evaluation.rooms.frustum import Frustum
+from pbrfit_evaluation.arrays import Array
+from pbrfit_evaluation.rooms.parts import Frustum
 
-Array = NDArray[np.float64]
 Patch = tuple[Array, Array]  # (m, n, 3) points and (m, n, 3) unit normals, in object space
 
 ROUND = 128

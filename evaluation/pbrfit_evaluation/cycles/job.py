@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io.output import new_folder
+from pbrfit_evaluation.arrays import Array
 from pbrfit_evaluation.cycles.export import Stage, check_choice
 from pbrfit_evaluation.cycles.process import (
     WORKER,
@@ -67,7 +68,7 @@ class Job:
     """One render."""
 
     stage: Stage
-    positions: NDArray[np.float64] | None
+    positions: Array | None
     """(K, 3) of white point lights in camera space; None = the 16 SH basis functions, signed, as
     panoramas."""
     transport: Transport

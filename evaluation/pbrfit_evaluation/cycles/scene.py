@@ -17,10 +17,10 @@ from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import MEAN_RADIANCE, gains
 from pbrfit.synthetic.lights import random_colors, random_lights
 from pbrfit.synthetic.world import World
+from pbrfit_evaluation.arrays import Array, Floats, Mask
 from pbrfit_evaluation.cycles.export import Stage, check_choice, export
 from pbrfit_evaluation.cycles.job import Job, Transport, rendered
 
-Array = NDArray[np.float64]
 Light = Literal["panorama", "points"]
 
 MAX_TURN = 30.0
@@ -178,9 +178,7 @@ def true_lamps(
     return Lamps(np.arange(lights, dtype=np.intp), places, np.ones(lights, bool))
 
 
-def inner_pixels(
-    segments: NDArray[np.integer[Any]], normals: NDArray[np.floating[Any]], fov: float
-) -> NDArray[np.bool_]:
+def inner_pixels(segments: NDArray[np.integer[Any]], normals: Floats, fov: float) -> Mask:
     """(H, W) bool: pixels that face the camera, whose four neighbours continue their surface.
 
     By object ids (H, W), 0 = nothing there, unit normals (H, W, 3) in camera space, and the

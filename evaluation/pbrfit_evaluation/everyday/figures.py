@@ -7,8 +7,16 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from pbrfit_evaluation.everyday.disturbances import DISTURBANCES, TITLES, Disturbance, twin_of
-from pbrfit_evaluation.everyday.measure import GRID, PICTURED, covered, run
+from pbrfit_evaluation.everyday.measure import (
+    DISTURBANCES,
+    GRID,
+    PICTURED,
+    TITLES,
+    Disturbance,
+    covered,
+    run,
+    twin_of,
+)
 from pbrfit_evaluation.grid.figures import MAPS, Bar, Metrics, Of, sheets
 from pbrfit_evaluation.grid.figures import rows as grid_rows
 from pbrfit_evaluation.grid.figures import verdicts as of_bars

@@ -14,12 +14,12 @@ from pbrfit.model.lamps import Lamps
 from pbrfit.scene.integration import depth_from_normals
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation import cycles
+from pbrfit_evaluation.arrays import unit
 from pbrfit_evaluation.depth_errors import ROUGH, estimated
 from pbrfit_evaluation.grid import Case, Grid, measured
-from pbrfit_evaluation.normal_errors import unit
 from pbrfit_evaluation.recipes import GUESS, Way
 from pbrfit_evaluation.table1 import measure as table1
-from pbrfit_evaluation.table1.rows import BY_KEY as TABLE1
+from pbrfit_evaluation.table1.measure import BY_KEY as TABLE1
 
 Depth = Literal["none", "true", "network", "rough", "integrated"]
 """The true one; disturbed like a network's (`depth_errors`), or more; integrated from normals."""

@@ -44,12 +44,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.model.reflection import sh_basis
-
-Array = NDArray[np.float64]
+from pbrfit_evaluation.arrays import Array
 
 Masking = Callable[[float, Array, float], Array]
 """G of n·v, n·l and roughness, the joint masking of both directions."""

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from pbrfit.commands.arguments import whole_number
-from pbrfit_evaluation.gap.measure import COMPARED, MATERIALS, Array, Case, run
+from pbrfit_evaluation.arrays import Array
+from pbrfit_evaluation.gap.measure import COMPARED, MATERIALS, Case, run
 from pbrfit_evaluation.options import option
 from pbrfit_evaluation.plots import CELL, draw, dress, heat_map, panels, png
 from pbrfit_evaluation.suite import Options, Picture, Results, Row, Section, Suite, Table, Value

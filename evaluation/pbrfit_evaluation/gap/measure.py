@@ -26,15 +26,13 @@ from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit.model.reflection import MODELS as MODEL_NAMES
 from pbrfit.model.reflection import shade
 from pbrfit.synthetic.lights import random_lights
+from pbrfit_evaluation.arrays import Array
 from pbrfit_evaluation.gap import brute_force, principled
 from pbrfit_evaluation.gap.brute_force import view
-
-Array = NDArray[np.float64]
 
 Model = Callable[[Array, Array, Array, Array, Array], Array]
 """normal (..., 3), view (..., 3), albedo (..., 3), r (...,), m (...,) -> weights (..., 3, 16)."""

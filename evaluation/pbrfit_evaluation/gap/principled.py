@@ -34,16 +34,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit_evaluation.arrays import Array
 from pbrfit_evaluation.gap.brute_force import (
     NODES,
     integrate_lobe,
     integrated_lobe,
     schlick_parts,
 )
-
-Array = NDArray[np.float64]
 
 F0_DIELECTRIC = 0.04
 _INDEX = 1.5  # ((1.5 − 1) / (1.5 + 1))² = 0.04

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 from pbrfit._core import InputError
 from pbrfit.acquire.photo import LEAST_SIDE
-from pbrfit_evaluation.generated.measure import run
-from pbrfit_evaluation.generated.ways import GRID, PICTURED, WAYS, by_cycles
+from pbrfit_evaluation.generated.measure import GRID, PICTURED, WAYS, by_cycles, run
 from pbrfit_evaluation.grid import Case
 from pbrfit_evaluation.grid.figures import Metrics, Of, pictures
 from pbrfit_evaluation.grid.figures import rows as grid_rows

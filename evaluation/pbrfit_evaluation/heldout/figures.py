@@ -12,8 +12,7 @@ from typing import Any
 from pbrfit.report.html import Cell
 from pbrfit_evaluation.heldout.light import Score, relative_error
 from pbrfit_evaluation.heldout.measure import IN_WORDS, OURS, WAYS, Task, Way, run
-from pbrfit_evaluation.heldout.public_sets import Source
-from pbrfit_evaluation.heldout.sources import asked_sources
+from pbrfit_evaluation.heldout.sources import Source, asked_sources
 from pbrfit_evaluation.options import count, folders, several
 from pbrfit_evaluation.suite import (
     Options,

@@ -10,7 +10,6 @@ from time import perf_counter, process_time
 from typing import Any, Literal, cast, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.export.rti import one_lamp_a_picture
@@ -22,6 +21,7 @@ from pbrfit.model.lamps import Lamps
 from pbrfit.result.result import Result
 from pbrfit.result.sheet import outside_grey
 from pbrfit.scene.scene import Scene
+from pbrfit_evaluation.arrays import Array, Mask
 from pbrfit_evaluation.heldout.baselines import (
     Baseline,
     Interpolated,
@@ -29,8 +29,7 @@ from pbrfit_evaluation.heldout.baselines import (
     explained_by_kept,
 )
 from pbrfit_evaluation.heldout.light import ambient_terms, explained_by
-from pbrfit_evaluation.heldout.public_sets import Source
-from pbrfit_evaluation.heldout.sources import Opened, evenly, opened
+from pbrfit_evaluation.heldout.sources import Opened, Source, evenly, opened
 from pbrfit_evaluation.jobs import Values
 from pbrfit_evaluation.normal_errors import angle_errors
 from pbrfit_evaluation.panels import packed
@@ -75,7 +74,6 @@ OURS: tuple[Way, ...] = (*FLAGS, "paper")
 
 LINEAR: tuple[Way, ...] = ("linear", "lamps-linear")
 
-Array = NDArray[np.float64]
 
 LEAST_KEPT = 2
 
@@ -232,7 +230,7 @@ def _found_lamps(task: Task, threads: int) -> Lamps | None:
     return Lamps(np.arange(len(scene.images)), directions, colors=colors)
 
 
-def judged_at(scene: Scene, valid: NDArray[np.bool_]) -> Scene:
+def judged_at(scene: Scene, valid: Mask) -> Scene:
     """The scene at some pixels; samples count unless they are clipped from above."""
     limits = scene.limits
     if limits is not None:

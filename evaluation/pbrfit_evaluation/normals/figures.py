@@ -14,8 +14,8 @@ from pbrfit_evaluation.grid import Case
 from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, by_seed
 from pbrfit_evaluation.grid.figures import rows as grid_rows
 from pbrfit_evaluation.grid.figures import verdicts as of_bars
-from pbrfit_evaluation.normals.disturbances import DISTURBANCES
 from pbrfit_evaluation.normals.measure import (
+    DISTURBANCES,
     MAPS,
     PARTS,
     REFINE,

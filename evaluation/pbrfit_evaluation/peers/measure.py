@@ -17,12 +17,13 @@ from pbrfit.result import metrics
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation import cycles
+from pbrfit_evaluation.arrays import Floats
 from pbrfit_evaluation.grid import Case, Grid, measured
 from pbrfit_evaluation.normal_errors import estimated
 from pbrfit_evaluation.recipes import GUESS, Way, within
 from pbrfit_evaluation.suite import Options
 from pbrfit_evaluation.table1 import measure as table1
-from pbrfit_evaluation.table1.rows import BY_KEY as ROWS
+from pbrfit_evaluation.table1.measure import BY_KEY as ROWS
 
 PEERS = ("marigold", "rgbx")
 
@@ -93,7 +94,7 @@ def evenly_lit(scene: Scene) -> int:
     Hard to read pictures, with much in the dark, would make peers worse than they are.
     """
 
-    def evenness(image: NDArray[np.floating[Any]]) -> float:
+    def evenness(image: Floats) -> float:
         grey = image.mean(axis=-1)[scene.valid]
         return float(np.percentile(grey, 10) / max(np.percentile(grey, 98), 1e-12))
 

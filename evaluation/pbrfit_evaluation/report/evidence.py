@@ -25,8 +25,7 @@ from types import MappingProxyType
 from typing import Any
 
 from pbrfit._core import InputError
-from pbrfit_evaluation.report import markdown
-from pbrfit_evaluation.report.summary import write_summary
+from pbrfit_evaluation.report import markdown, write_summary
 from pbrfit_evaluation.suite import Row, Table
 
 FOLDER = "evidence"

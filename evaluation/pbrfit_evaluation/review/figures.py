@@ -11,9 +11,8 @@ from scipy.stats import binomtest
 
 from pbrfit_evaluation import cycles
 from pbrfit_evaluation.options import first_seed
-from pbrfit_evaluation.review.damage import REPAINTS
 from pbrfit_evaluation.review.measure import Task, work
-from pbrfit_evaluation.review.pictures import Renderer
+from pbrfit_evaluation.review.pictures import REPAINTS, Renderer
 from pbrfit_evaluation.suite import Options, Results, Row, Section, Suite, Table, Verdict
 
 LEAST_CAUGHT = 0.95

@@ -13,15 +13,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit.acquire.review import Reviewer, Verdict
 from pbrfit.synthetic import make_scene
+from pbrfit_evaluation.arrays import Array
 from pbrfit_evaluation.jobs import Values
-from pbrfit_evaluation.review.damage import REPAINTS, Kind, damaged
-from pbrfit_evaluation.review.pictures import Renderer, camera, relights
-
-Array = NDArray[np.float64]
+from pbrfit_evaluation.review.pictures import REPAINTS, Kind, Renderer, camera, damaged, relights
 
 
 @dataclass(frozen=True)

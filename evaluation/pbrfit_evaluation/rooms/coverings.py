@@ -9,14 +9,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit.synthetic.geometry import Box, Cylinder, Primitive
 from pbrfit.synthetic.patterns import checker, clouds, grain, patches, planks, stripes, veins
 from pbrfit.synthetic.surfaces import METALS, Layers, Paint, Surface, blend
+from pbrfit_evaluation.arrays import Array
 from pbrfit_evaluation.rooms import patterns
 
-Array = NDArray[np.float64]
 Rng = np.random.Generator
 
 # Linear Rec.709. Oak, light oak, pine, cherry, walnut, mahogany, ebony.

@@ -10,8 +10,9 @@ import numpy as np
 from pbrfit.model.materials import Materials
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
+from pbrfit_evaluation.arrays import Array, known
 from pbrfit_evaluation.grid import Case, Grid, measured
-from pbrfit_evaluation.recipes import Array, Way, known
+from pbrfit_evaluation.recipes import Way
 from pbrfit_evaluation.suite import Options
 
 NOISE = {"noise-0.004": 0.004, "noise-0.01": 0.01}

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from pbrfit import _core
 from pbrfit.model.reflection import Model, ggx_band_weights, shade, shade_vjp
-
-Array = NDArray[np.float64]
+from pbrfit_evaluation.arrays import Array
 
 Figure = tuple[float, str]
 """The worst of all that was tried, and where it was found."""

@@ -22,10 +22,10 @@ from pbrfit.result.result import Result
 from pbrfit.result.verdict import PARAMETERS, ROUGH_ERROR
 from pbrfit.scene.arrays import Truth
 from pbrfit.scene.scene import Scene
+from pbrfit_evaluation.arrays import Array
 from pbrfit_evaluation.jobs import Values, unlogged
 from pbrfit_evaluation.stability.double_precision import (
     MIN_COSINE,
-    Array,
     Case,
     Rows,
     compare,

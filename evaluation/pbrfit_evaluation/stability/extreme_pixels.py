@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.random import Generator
 
-from pbrfit_evaluation.stability.double_precision import Array, Case, Pixels
+from pbrfit_evaluation.arrays import Array, unit
+from pbrfit_evaluation.stability.double_precision import Case, Pixels
 
 NEAR = 1e-8
 """How near to a special value "near" is."""
@@ -19,7 +20,7 @@ Change = Callable[[Generator, Case], Case]
 
 def random_pixels(rng: Generator, count: int) -> Pixels:
     """Draw materials all over their range, seen at all cosines from 0.05 to 1."""
-    views = _unit(np.stack([*rng.uniform(-0.6, 0.6, (2, count)), np.ones(count)], axis=-1))
+    views = unit(np.stack([*rng.uniform(-0.6, 0.6, (2, count)), np.ones(count)], axis=-1))
     return Pixels(
         seen_at(rng, views, rng.uniform(0.05, 1.0, count)),
         views,
@@ -31,7 +32,7 @@ def random_pixels(rng: Generator, count: int) -> Pixels:
 
 def seen_at(rng: Generator, views: Array, cosine: Array) -> Array:
     """Normals (P, 3) with the given n·v, turned about the view direction at random."""
-    across = _unit(np.cross(views, rng.normal(size=views.shape)))
+    across = unit(np.cross(views, rng.normal(size=views.shape)))
     return np.asarray(cosine[:, None] * views + np.sqrt(1 - cosine**2)[:, None] * across)
 
 
@@ -47,10 +48,6 @@ def random_case(rng: Generator, pixels: int, pictures: int) -> Case:
     """Pixels and lights, and pictures that have nothing to do with them: residuals like them."""
     drawn, lighting = random_pixels(rng, pixels), random_lights(rng, pictures)
     return Case(drawn, lighting, rng.uniform(0, 2, (pictures, pixels, 3)).astype(np.float32))
-
-
-def _unit(vectors: Array) -> Array:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
 def _with_roughness(center: float, low: float, high: float) -> Change:

@@ -17,8 +17,7 @@ from pbrfit_evaluation.rooms.textures import load_textures
 from pbrfit_evaluation.scores import PROTOCOL, Scores
 from pbrfit_evaluation.suite import Column, Options, Picture, Section, Suite, Table, Value, digits
 from pbrfit_evaluation.suite import Row as Figures
-from pbrfit_evaluation.table1.measure import GRID, Case, run
-from pbrfit_evaluation.table1.rows import BY_KEY, COLUMNS, WAYS
+from pbrfit_evaluation.table1.measure import BY_KEY, COLUMNS, GRID, WAYS, Case, run
 
 METRICS = tuple(f.name for f in fields(Scores))
 

@@ -16,13 +16,13 @@ from pbrfit.result.verdict import (
     USABLE_ERROR,
     USABLE_MAX,
 )
+from pbrfit_evaluation.arrays import Array
 from pbrfit_evaluation.grid.figures import Metrics, Of
 from pbrfit_evaluation.grid.figures import rows as grid_rows
 from pbrfit_evaluation.options import option
 from pbrfit_evaluation.plots import draw, dress, mark, panels, png
 from pbrfit_evaluation.suite import Picture, Row, Section, Suite, Table, Value, Verdict, digits
-from pbrfit_evaluation.uncertainty.conditions import CONDITIONS, GROUPS, Condition
-from pbrfit_evaluation.uncertainty.measure import GRID, Array, run
+from pbrfit_evaluation.uncertainty.measure import CONDITIONS, GRID, GROUPS, Condition, run
 
 COVERED = (0.9, 0.99)
 """Share of the errors within two deviations, at least and at most: of a Gaussian 0.954."""

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from pbrfit import InputError
 from pbrfit.acquire.review import LOG_CHANGE_MIN, Reviewer, illumination
-from pbrfit_evaluation.review.damage import damaged
-from pbrfit_evaluation.review.pictures import View, camera, relights
+from pbrfit_evaluation.review.pictures import View, camera, damaged, relights
 
 Array = NDArray[np.float64]
 

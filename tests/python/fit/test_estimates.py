@@ -23,8 +23,8 @@ from pbrfit.io import images
 from pbrfit.model.materials import Materials
 from pbrfit.result.uncertainty import Uncertainty
 from pbrfit.synthetic import make_scene
+from pbrfit_evaluation.arrays import known
 from pbrfit_evaluation.map_errors import estimated
-from pbrfit_evaluation.recipes import known
 
 FAST = FitOptions(light="sh", refine_normals="off", align="off", priors=Priors(material=1.0))
 

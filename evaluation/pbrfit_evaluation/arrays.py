@@ -1,0 +1,33 @@
+"""Names for kinds of arrays, and small things that many suites do with arrays."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.model.materials import nearest_inside
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.floating[Any]]
+Mask = NDArray[np.bool_]
+
+T = TypeVar("T")
+
+
+def known(value: T | None) -> T:
+    """A value that synthetic scenes always have, such as their truth and its lights."""
+    assert value is not None
+    return value
+
+
+def unit(vectors: Floats) -> Array:
+    """Vectors (..., 3) of length 1."""
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+
+
+def filled(vectors: Floats, valid: Mask) -> Array:
+    """Vectors (H, W, 3), outside the mask those of the nearest pixel inside."""
+    found: Array = np.asarray(vectors, dtype=np.float64)[nearest_inside(valid)]
+    return found
