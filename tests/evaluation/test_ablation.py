@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from evaluation_tasks import recorded
+from pbrfit.model.reflection import DEFAULT_MODEL
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.ablation import figures, measure
-from pbrfit_evaluation.ablation.measure import GRID, TITLES, case
+from pbrfit_evaluation.ablation.measure import GRID, TITLES, room
+from pbrfit_evaluation.grid import Case
 from pbrfit_evaluation.grid.figures import Of
 from pbrfit_evaluation.scores import Scores
 from scene_files import known, truth_of
@@ -17,23 +19,27 @@ from scene_files import known, truth_of
 SIZE, SEED = 24, 2000
 
 
+def made(condition: str, size: int) -> Scene:
+    return room(Case(condition, "none", SEED, size, "room", DEFAULT_MODEL))
+
+
 def segments_of(scene: Scene) -> measure.Ids:
     return known(scene.segments)
 
 
 def test_the_constant_room_is_the_room() -> None:
-    made = case("constant", SEED, size=SIZE)
+    scene = made("constant", SIZE)
     plain = make_scene("room", size=SIZE, seed=SEED, noise=0.01)
-    np.testing.assert_allclose(made.images, plain.images, atol=1e-12)
-    np.testing.assert_array_equal(segments_of(made), segments_of(plain))
-    for i in np.unique(segments_of(made)):
-        here = segments_of(made) == i
-        assert len(np.unique(truth_of(made).materials.roughness[here])) == 1
-        assert len(np.unique(truth_of(made).materials.metallic[here])) == 1
+    np.testing.assert_allclose(scene.images, plain.images, atol=1e-12)
+    np.testing.assert_array_equal(segments_of(scene), segments_of(plain))
+    for i in np.unique(segments_of(scene)):
+        here = segments_of(scene) == i
+        assert len(np.unique(truth_of(scene).materials.roughness[here])) == 1
+        assert len(np.unique(truth_of(scene).materials.metallic[here])) == 1
 
 
 def test_roughness_varies_inside_segments_and_nothing_else_does() -> None:
-    scene, plain = case("varying", SEED, size=64), case("constant", SEED, size=64)
+    scene, plain = made("varying", 64), made("constant", 64)
     found, before = truth_of(scene).materials, truth_of(plain).materials
     np.testing.assert_array_equal(found.metallic, before.metallic)
     np.testing.assert_array_equal(found.albedo, before.albedo)

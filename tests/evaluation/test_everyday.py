@@ -19,20 +19,17 @@ from pbrfit_evaluation.everyday import figures, measure
 from pbrfit_evaluation.everyday.figures import MOST
 from pbrfit_evaluation.everyday.measure import (
     BAD_PICTURE,
+    DISTURBANCES,
     NOISE,
-    PICTURES,
-    TITLES,
-    Disturbance,
     disturbed,
-    twin_of,
 )
-from pbrfit_evaluation.grid import Case
+from pbrfit_evaluation.grid import PICTURES, Case
 from scene_files import known, truth_of
 
 SIZE, SEED = 16, 7
 
 
-def made(disturbance: Disturbance, size: int = SIZE) -> Scene:
+def made(disturbance: str, size: int = SIZE) -> Scene:
     return disturbed(disturbance, "room", SEED, size)
 
 
@@ -116,8 +113,8 @@ def found(error: float, seconds: float = 1.0, **more: Any) -> dict[str, Any]:
 def test_each_demand_can_fail() -> None:
     """Errors and seconds by the twin; the field of view; scales, of which two of three hold."""
 
-    def judged(name: Disturbance, of: dict[str, Any]) -> set[str]:
-        pairs = {twin_of(name): found(0.1, 2.0), "noise": found(0.1), name: of}
+    def judged(name: str, of: dict[str, Any]) -> set[str]:
+        pairs = {DISTURBANCES[name].twin: found(0.1, 2.0), "noise": found(0.1), name: of}
         cases = [(Case(at, "default", 1, 16, "room"), values) for at, values in pairs.items()]
         results = recorded(*cases, conditions=pairs)
         verdicts = figures.verdicts(results, figures.rows(results))
@@ -126,7 +123,7 @@ def test_each_demand_can_fail() -> None:
     worst = found(0.1 * MOST["jpeg-75-420"] * 0.999, 2.99)
     assert judged("jpeg-75-420", worst) == set()
     worst["scores"] |= {"roughness": 0.1 * MOST["jpeg-75-420"] * 1.001, "processor": 3.01}
-    beside = f"over {TITLES[twin_of('jpeg-75-420')]}"
+    beside = f"over {DISTURBANCES[DISTURBANCES['jpeg-75-420'].twin].title}"
     assert judged("jpeg-75-420", worst) == {
         f"error of the worst map {beside}", f"processor seconds {beside}",
     }  # fmt: skip

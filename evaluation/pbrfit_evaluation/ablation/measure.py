@@ -13,10 +13,8 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from pbrfit.model.reflection import DEFAULT_MODEL, Model
 from pbrfit.result.options import Priors, prior_names
 from pbrfit.scene.scene import Scene
-from pbrfit.synthetic import make_scene
 from pbrfit.synthetic.patterns import Pattern, checker, clouds, patches, stripes
 from pbrfit_evaluation.arrays import Array, Floats, known
 from pbrfit_evaluation.grid import Case, Grid, measured
@@ -36,8 +34,8 @@ TITLES = {
 VARIED_IN = ("constant", "varying", "merged")
 """Cases in which the weights of priors are varied: those that differ in segments and materials."""
 
-PICTURES = 16
-"""For training; as many are held out."""
+NOISE = 0.01
+"""Standard deviation in radiance."""
 
 SPREAD = (0.08, 0.12)
 """Standard deviation of the roughness inside a varying segment, before it is clipped to `RANGE`."""
@@ -55,15 +53,8 @@ MERGED = 1 / 3
 """Share of the segments that take another's id."""
 
 
-def case(
-    name: str,
-    seed: int,
-    *,
-    size: int = 64,
-    noise: float = 0.01,
-    model: Model = DEFAULT_MODEL,
-) -> Scene:
-    """Make a scene of a case, with its ground truth and held-out lights.
+def room(of: Case) -> Scene:
+    """Make the room of a case, with its ground truth and held-out lights.
 
     All but "varying" have the same pictures for the same seed: those of
     `make_scene`, with roughness and metallic the median of their segment wherever the kind lets
@@ -72,25 +63,23 @@ def case(
     for "shifted" by one pixel to the right and one down; "merged", where `MERGED` of them take the
     id of another, in turn of a neighbour and of any other; and "none".
 
-    `seed` is of the scene, its lights and its noise, which are those of `make_scene`, and of what
-    is changed here, which is drawn apart from them. `noise` is a standard deviation in radiance.
+    The case's seed is of the scene, its lights and its noise, which are those of `make_scene`, and
+    of what is changed here, which is drawn apart from them.
     """
-    scene = make_scene(
-        "room", size=size, lights=PICTURES, held_out=PICTURES, seed=seed, model=model
-    )
+    scene = of.drawn(model=of.model)
     truth, segments = known(scene.truth), known(scene.segments)
     # The first four are make_scene's own, and the fourth is its noise.
-    streams = np.random.SeedSequence(seed).spawn(6)
+    streams = np.random.SeedSequence(of.seed).spawn(6)
     noise_rng, pattern_rng, merging_rng = map(np.random.default_rng, streams[3:])
 
     materials = truth.materials
-    if name == "varying":
+    if of.condition == "varying":
         roughness = varied(materials.roughness, segments, pattern_rng)
         materials = replace(materials, roughness=roughness)
     made = lit_anew(scene, materials, known(truth.lighting), known(truth.relight_lighting))
-    images = made.images + noise_rng.normal(scale=noise, size=made.images.shape)
+    images = made.images + noise_rng.normal(scale=NOISE, size=made.images.shape)
     made = replace(made, images=images)
-    match name:
+    match of.condition:
         case "shifted":
             return replace(made, segments=shifted(segments))
         case "merged":
@@ -215,6 +204,4 @@ GRID = Grid(
 
 def run(of: Case, threads: int) -> dict[str, Any]:
     """Scores, and perhaps maps."""
-    assert of.model is not None
-    scene = case(of.condition, of.seed, size=of.size, model=of.model)
-    return measured(of, WAYS[of.way], scene, threads)[1]
+    return measured(of, WAYS[of.way], room(of), threads)[1]

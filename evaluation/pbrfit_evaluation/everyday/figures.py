@@ -11,11 +11,8 @@ from pbrfit_evaluation.everyday.measure import (
     DISTURBANCES,
     GRID,
     PICTURED,
-    TITLES,
-    Disturbance,
     covered,
     run,
-    twin_of,
 )
 from pbrfit_evaluation.grid.figures import MAPS, Bar, Metrics, Of, sheets
 from pbrfit_evaluation.grid.figures import rows as grid_rows
@@ -25,7 +22,7 @@ from pbrfit_evaluation.suite import Row, Section, Suite, Table, Verdict, digits
 
 ERRORS = (*MAPS, "relight")
 
-MOST: dict[Disturbance, float] = {
+MOST: dict[str, float] = {
     "clean": 1.02,
     "png": 1.5,
     "jpeg-90-444": 1.5,
@@ -51,14 +48,14 @@ SLOWEST = 1.5
 FOV_ERROR = 2.0
 """Degrees that an unknown field of view may be off in any scene of the kind room."""
 
-CONTRADICTED: tuple[tuple[Disturbance, float], ...] = (("fov-wrong", 1.0), ("fov-true", 0.0))
+CONTRADICTED: tuple[tuple[str, float], ...] = (("fov-wrong", 1.0), ("fov-true", 0.0))
 """Share of the scenes in which a given field of view is contradicted: at least of a wrong one, at
 most of the true one."""
 
 COVERED = 0.9
 """Share of the channels of all scenes whose scale is within two deviations, at least."""
 
-UNDISTURBED: tuple[Disturbance, ...] = (
+UNDISTURBED = (
     *("noise", "clean", "fov-true"),
     *(twin for twin in DISTURBANCES if twin.startswith("white")),
 )
@@ -66,11 +63,11 @@ UNDISTURBED: tuple[Disturbance, ...] = (
 
 def _bars() -> Iterator[Bar]:
     for one, most in MOST.items():
-        of, over = (one, "default"), (twin_of(one), "default")
-        beside = f"over {TITLES[twin_of(one)]}"
-        yield Bar(f"{TITLES[one]}: error of the worst map {beside}", of, over, MAPS, most)
+        of, over = (one, "default"), (DISTURBANCES[one].twin, "default")
+        beside = f"over {GRID.conditions[DISTURBANCES[one].twin]}"
+        yield Bar(f"{GRID.conditions[one]}: error of the worst map {beside}", of, over, MAPS, most)
         if one == "png" or one.startswith("jpeg"):
-            what = f"{TITLES[one]}: processor seconds {beside}"
+            what = f"{GRID.conditions[one]}: processor seconds {beside}"
             yield Bar(what, of, over, ["processor"], SLOWEST)
 
 
@@ -83,7 +80,7 @@ def rows(results: Of) -> list[Row]:
     """A row a disturbance: mean errors, multiples, seconds, the scale, the field of view."""
 
     def more(disturbance: str, _: str, of: Of) -> Metrics:
-        twin = results.of(condition=twin_of(disturbance))
+        twin = results.of(condition=DISTURBANCES[disturbance].twin)
         multiples = {name: of.over(twin, name) for name in (*ERRORS, "processor")}
         channels = [one for _, values in of.finished for one in values["scale"].values()]
         return {
@@ -107,7 +104,7 @@ def verdicts(results: Of, _: Sequence[Row]) -> Iterator[Verdict]:
     yield from _fov_verdicts(results)
     disturbed = tuple(name for name in DISTURBANCES if name not in UNDISTURBED)
     for part, names in (("undisturbed", UNDISTURBED), ("disturbed", disturbed)):
-        shares = {TITLES[one]: _covered(results.of(condition=one)) for one in names}
+        shares = {GRID.conditions[one]: _covered(results.of(condition=one)) for one in names}
         shares = {title: share for title, share in shares.items() if not math.isnan(share)}
         if shares:
             some = [pair for pair in results.pairs if pair[0].condition in names]
@@ -130,7 +127,9 @@ def _fov_verdicts(results: Of) -> Iterator[Verdict]:
         of = results.of(condition=disturbance)
         if of.finished:
             said = of.finished[0][1]["fov"]["said"]
-            what = f"{TITLES[disturbance]}: share of scenes in which the fit contradicts it"
+            what = (
+                f"{GRID.conditions[disturbance]}: share of scenes in which the fit contradicts it"
+            )
             where = f"such as “{said}”" if said else ""
             share = of.average("fov", "contradicted")
             yield Verdict(what, share, bar, where, at_least=bar > 0)
@@ -151,7 +150,7 @@ def sections(results: Of, of_rows: Sequence[Row]) -> Iterator[Section]:
         "deviations.",
         [Table.of(of_rows)],
     )
-    labels = {name: TITLES[name] for name in PICTURED}
+    labels = {name: GRID.conditions[name] for name in PICTURED}
     caption = "One scene: a picture, the maps that were found, and the true ones in the first row."
     yield from sheets("Maps", results, labels, caption, "everyday-maps", by="condition")
 

@@ -7,8 +7,8 @@ is done by files of that format, which `Scene.load` reads.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -24,66 +24,52 @@ from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.arrays import Array, Floats, known
-from pbrfit_evaluation.grid import Case, Grid, measured
+from pbrfit_evaluation.grid import PICTURES, Case, Grid, measured
 from pbrfit_evaluation.recipes import lit_anew
 from pbrfit_evaluation.review.pictures import codes
 
 KINDS = ("room", "furnished", "detailed")
 
-Disturbance = str
-"""One of `DISTURBANCES`."""
+REFERENCE = "noise"
+"""What others are multiples of, unless they have a twin."""
 
-TITLES: dict[Disturbance, str] = {
-    "noise": "float32, 1 % noise",
-    "clean": "float32, no noise",
-    "png": "PNG, 8-bit sRGB",
-    "jpeg-90-444": "JPEG 90, 4:4:4",
-    "white-90-444": "white noise as JPEG 90, 4:4:4",
-    "jpeg-90-420": "JPEG 90, 4:2:0",
-    "white-90-420": "white noise as JPEG 90, 4:2:0",
-    "jpeg-75-444": "JPEG 75, 4:4:4",
-    "white-75-444": "white noise as JPEG 75, 4:4:4",
-    "jpeg-75-420": "JPEG 75, 4:2:0",
-    "white-75-420": "white noise as JPEG 75, 4:2:0",
-    "hot": "0.2 % hot samples",
-    "black": "one picture black",
-    "clipped": "floats clipped at 0.9",
-    "brightest": "brightest 0.2 % clipped",
-    "shifted": "one picture shifted",
-    "another": "one of another scene",
-    "gamma": "gamma 1.1",
-    "vignetting": "vignetting of 30 %",
-    "grey": "grey scene and lights",
-    "together": "PNG of all at once",
-    "fov-true": "90° wide, known",
-    "fov-unknown": "90° wide, unknown",
-    "fov-wrong": "90° wide, 60° given",
+
+@dataclass(frozen=True)
+class Disturbance:
+    """What is done to a scene."""
+
+    title: str
+    """In tables and plots."""
+    twin: str = REFERENCE
+    """Scenes that have the same but for what is measured: errors are multiples of theirs."""
+
+
+DISTURBANCES: Mapping[str, Disturbance] = {
+    "noise": Disturbance("float32, 1 % noise"),
+    "clean": Disturbance("float32, no noise"),
+    "png": Disturbance("PNG, 8-bit sRGB"),
+    "jpeg-90-444": Disturbance("JPEG 90, 4:4:4", "white-90-444"),
+    "white-90-444": Disturbance("white noise as JPEG 90, 4:4:4"),
+    "jpeg-90-420": Disturbance("JPEG 90, 4:2:0", "white-90-420"),
+    "white-90-420": Disturbance("white noise as JPEG 90, 4:2:0"),
+    "jpeg-75-444": Disturbance("JPEG 75, 4:4:4", "white-75-444"),
+    "white-75-444": Disturbance("white noise as JPEG 75, 4:4:4"),
+    "jpeg-75-420": Disturbance("JPEG 75, 4:2:0", "white-75-420"),
+    "white-75-420": Disturbance("white noise as JPEG 75, 4:2:0"),
+    "hot": Disturbance("0.2 % hot samples"),
+    "black": Disturbance("one picture black"),
+    "clipped": Disturbance("floats clipped at 0.9"),
+    "brightest": Disturbance("brightest 0.2 % clipped"),
+    "shifted": Disturbance("one picture shifted"),
+    "another": Disturbance("one of another scene"),
+    "gamma": Disturbance("gamma 1.1"),
+    "vignetting": Disturbance("vignetting of 30 %"),
+    "grey": Disturbance("grey scene and lights"),
+    "together": Disturbance("PNG of all at once"),
+    "fov-true": Disturbance("90° wide, known"),
+    "fov-unknown": Disturbance("90° wide, unknown", "fov-true"),
+    "fov-wrong": Disturbance("90° wide, 60° given", "fov-true"),
 }
-"""What tables and plots say."""
-
-DISTURBANCES: tuple[Disturbance, ...] = tuple(TITLES)
-
-REFERENCE: Disturbance = "noise"
-"""What others are multiples of, but for those below."""
-
-TWINS: dict[Disturbance, Disturbance] = {
-    "jpeg-90-444": "white-90-444",
-    "jpeg-90-420": "white-90-420",
-    "jpeg-75-444": "white-75-444",
-    "jpeg-75-420": "white-75-420",
-    "fov-unknown": "fov-true",
-    "fov-wrong": "fov-true",
-}
-"""Scenes that have the same but for what is measured, and so cost no more than it has to."""
-
-
-def twin_of(disturbance: Disturbance) -> Disturbance:
-    """What the errors of a disturbance are multiples of."""
-    return TWINS.get(disturbance, REFERENCE)
-
-
-PICTURES = 16
-"""Of a scene; as many are held out."""
 
 NOISE = 0.01
 """Standard deviation in radiance: 1 % of a radiance of 1, 2.5 % of the mean."""
@@ -100,11 +86,11 @@ CLIPPED_AT, UNCLIPPED_FLOATS = 0.9, 0.998
 BAD_PICTURE = 5
 """Number of the picture that is black, shifted or of another scene."""
 
-TOGETHER: tuple[Disturbance, ...] = ("another", "black", "shifted", "hot", "gamma", "vignetting")
+TOGETHER = ("another", "black", "shifted", "hot", "gamma", "vignetting")
 """What is done to one scene, in this order."""
 
 SHIFT = 2
-"""Pixels that a picture is shifted to the right."""
+"""Pixels that a picture is shifted to the right; its first column is repeated."""
 
 OTHER_SEED = 500
 """Added to the seed of a scene: that of another, which is in no run of fewer scenes than this."""
@@ -117,7 +103,7 @@ FOV_TRUE, FOV_WRONG = 90.0, 60.0
 """Degrees: that of the pictures, and that which is given."""
 
 
-def disturbed(disturbance: Disturbance, kind: str, seed: int, size: int) -> Scene:
+def disturbed(disturbance: str, kind: str, seed: int, size: int) -> Scene:
     """Make a scene after one of `DISTURBANCES`, with its ground truth.
 
     `kind`, `seed` and `size` are those of `pbrfit.synthetic.make_scene`; what is drawn here has a
@@ -132,7 +118,10 @@ def disturbed(disturbance: Disturbance, kind: str, seed: int, size: int) -> Scen
         case "white":
             return _with_noise_of(of(), jpeg(rest), rng)
         case "fov":
-            return _of_another_view(of(NOISE, fov=FOV_TRUE), rest)
+            scene = of(NOISE, fov=FOV_TRUE)
+            if rest == "wrong":
+                return replace(scene, fov=FOV_WRONG)
+            return read_back(scene, say_fov=False) if rest == "unknown" else scene
         case "clean":
             return of()
         case "png":
@@ -140,20 +129,17 @@ def disturbed(disturbance: Disturbance, kind: str, seed: int, size: int) -> Scen
         case "grey":
             return grey(of(), rng)
         case "together":
-            return _together(of(NOISE), kind, seed, size, rng)
+            # Each with a picture of its own, in files that do not tell the field of view.
+            scene = of(NOISE)
+            for i, one in enumerate(TOGETHER):
+                scene = _spoilt(scene, one, kind, seed, size, rng, bad_picture=BAD_PICTURE + 2 * i)
+            return in_files(scene, write_png, say_fov=False)
     return _spoilt(of(NOISE), disturbance, kind, seed, size, rng)
-
-
-def _together(scene: Scene, kind: str, seed: int, size: int, rng: Generator) -> Scene:
-    """Each with a picture of its own, in files that do not tell the field of view."""
-    for number, one in enumerate(TOGETHER):
-        scene = _spoilt(scene, one, kind, seed, size, rng, bad_picture=BAD_PICTURE + 2 * number)
-    return in_files(scene, write_png, say_fov=False)
 
 
 def _spoilt(
     given: Scene,
-    disturbance: Disturbance,
+    disturbance: str,
     kind: str,
     seed: int,
     size: int,
@@ -176,37 +162,21 @@ def _spoilt(
         case "brightest":
             pictures = np.minimum(pictures, np.quantile(pictures[:, valid], UNCLIPPED_FLOATS))
         case "shifted":
-            pictures[bad_picture] = shifted(pictures[bad_picture])
+            moved = np.pad(pictures[bad_picture], ((0, 0), (SHIFT, 0), (0, 0)), mode="edge")
+            pictures[bad_picture] = moved[:, :-SHIFT]
         case "another":
             other = made(kind, seed + OTHER_SEED, size, NOISE)
             pictures[bad_picture] = other.images[bad_picture]
         case "gamma":
             white = _white(given)
-            pictures = curved(pictures / white) * white
+            # What a tone curve makes of radiance; noise below black becomes black.
+            pictures = np.maximum(pictures / white, 0) ** GAMMA * white
         case "vignetting":
-            pictures = vignetted(pictures)
+            height, width = valid.shape
+            y, x = np.mgrid[:height, :width] + 0.5
+            squared = (x / width - 0.5) ** 2 + (y / height - 0.5) ** 2
+            pictures = pictures * (1 - VIGNETTING * squared / 0.5)[..., None]
     return replace(given, images=pictures.astype(np.float32))
-
-
-def shifted(picture: Floats) -> Floats:
-    """Move a picture (H, W, 3) to the right; its first column is repeated."""
-    width = picture.shape[1]
-    return np.pad(picture, ((0, 0), (SHIFT, 0), (0, 0)), mode="edge")[:, :width]
-
-
-def curved(radiance: Floats) -> Floats:
-    """What a tone curve makes of radiance over white; noise below black becomes black."""
-    found: Floats = np.maximum(radiance, 0) ** GAMMA
-    return found
-
-
-def vignetted(pictures: Floats) -> Floats:
-    """Darken the corners of pictures (N, H, W, 3)."""
-    height, width = pictures.shape[1:3]
-    y, x = np.mgrid[:height, :width] + 0.5
-    squared = (x / width - 0.5) ** 2 + (y / height - 0.5) ** 2
-    found: Floats = pictures * (1 - VIGNETTING * squared / 0.5)[..., None]
-    return found
 
 
 # --------------------------------------------------------------------------------------- scenes
@@ -240,13 +210,6 @@ def grey(scene: Scene, rng: Generator) -> Scene:
     return replace(lit, images=pictures.astype(np.float32))
 
 
-def _of_another_view(scene: Scene, said: str) -> Scene:
-    """With the field of view that is given: the true one, a wrong one, or none."""
-    if said == "wrong":
-        return replace(scene, fov=FOV_WRONG)
-    return read_back(scene, say_fov=False) if said == "unknown" else scene
-
-
 # ---------------------------------------------------------------------------------------- files
 
 Write = Callable[[Path, NDArray[np.uint8]], None]
@@ -258,14 +221,11 @@ def write_png(path: Path, codes: NDArray[np.uint8]) -> None:
     Image.fromarray(codes).save(path.with_suffix(".png"))
 
 
-def _write_jpeg(path: Path, codes: NDArray[np.uint8], *, quality: int, chroma: str) -> None:
-    Image.fromarray(codes).save(path.with_suffix(".jpg"), quality=quality, subsampling=chroma)
-
-
 def jpeg(said: str) -> Write:
     """Of quality and chroma subsampling, such as "90-420"."""
     quality, _, chroma = said.partition("-")
-    return partial(_write_jpeg, quality=int(quality), chroma=":".join(chroma))
+    how: Any = {"quality": int(quality), "subsampling": ":".join(chroma)}
+    return lambda path, codes: Image.fromarray(codes).save(path.with_suffix(".jpg"), **how)
 
 
 def in_files(scene: Scene, write: Write, *, say_fov: bool = True) -> Scene:
@@ -311,15 +271,15 @@ def read_back(scene: Scene, write: Write | None = None, *, say_fov: bool = True)
 
 CHANNELS = ("red", "green", "blue")
 
-PICTURED: tuple[Disturbance, ...] = ("noise", "jpeg-90-420", "jpeg-75-420", "clipped", "shifted")
+PICTURED = ("noise", "jpeg-90-420", "jpeg-75-420", "clipped", "shifted")
 """Disturbances whose maps are shown."""
 
 GRID = Grid(
-    TITLES,
-    brings={one: (REFERENCE, twin_of(one)) for one in TITLES},
+    {key: one.title for key, one in DISTURBANCES.items()},
+    brings={key: (REFERENCE, one.twin) for key, one in DISTURBANCES.items()},
     kinds=KINDS,
     pictured=PICTURED,
-    few=tuple(name for name in TITLES if "444" not in name and "75" not in name),  # JPEG once
+    few=tuple(name for name in DISTURBANCES if "444" not in name and "75" not in name),  # JPEG once
 )
 
 

@@ -16,6 +16,7 @@ from pbrfit._core import InputError
 from pbrfit.model.reflection import Model
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
+from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.options import Add, count, first_seed, models, several
 from pbrfit_evaluation.panels import of_result, packed
 from pbrfit_evaluation.recipes import Way
@@ -51,6 +52,11 @@ class Case:
         """Name of the record."""
         about = (self.condition, self.way, self.kind, self.model or "", str(self.seed))
         return "_".join(filter(None, about))
+
+    def drawn(self, **more: Any) -> Scene:
+        """The scene by our renderer; `more` as of `make_scene`."""
+        given = {"lights": self.lights, "held_out": self.lights} | more
+        return make_scene(self.kind, size=self.size, seed=self.seed, **given)
 
 
 def _always(*_: object) -> str:

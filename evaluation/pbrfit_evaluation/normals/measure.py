@@ -31,8 +31,7 @@ from numpy.random import Generator
 from pbrfit.model.geometry import angles_between
 from pbrfit.result.refinement import CHOICES
 from pbrfit.scene.scene import Scene
-from pbrfit.synthetic import make_scene
-from pbrfit_evaluation.arrays import Array, Floats, Mask, filled
+from pbrfit_evaluation.arrays import Array, Mask, filled
 from pbrfit_evaluation.grid import Case, Grid, measured
 from pbrfit_evaluation.normal_errors import angle_errors, as_estimated, facing, smooth, turned
 from pbrfit_evaluation.recipes import Way
@@ -164,19 +163,12 @@ def turn_of(condition: str) -> tuple[str, float]:
 def run(case: Case, threads: int) -> dict[str, Any]:
     """Scores, angles and decision of a fit; without noise, whether the scene came back."""
     noisy = not is_exact(case.condition)
-    scene = given = make_scene(
-        case.kind,
-        size=case.size,
-        lights=case.lights,
-        held_out=case.lights,
-        seed=case.seed,
-        noise=NOISE if noisy else 0.0,
-    )
+    scene = given = case.drawn(noise=NOISE if noisy else 0.0)
     if case.condition != TRUE:
         given = replace(scene, normals=disturbed(scene, *turn_of(case.condition), case.seed))
     result, found = measured(case, REFINE[case.way], given, threads, truth=scene)
-    found["given"] = off(given.normals, scene.normals, scene.valid)
-    found["angle"] = off(result.normals, scene.normals, scene.valid)
+    for name, of in (("given", given), ("angle", result)):
+        found[name] = angle_errors(of.normals[scene.valid], scene.normals[scene.valid])
     found["decision"] = {
         "refined": result.refinement.refined,
         "why": result.refinement.why,
@@ -191,8 +183,3 @@ def came_back(values: dict[str, Any]) -> bool:
     """Whether materials and normals of a scene are what they were."""
     maps = max(values["scores"][name] for name in MAPS)
     return bool(maps <= MATERIAL and values["angle"]["mean"] <= ANGLE)
-
-
-def off(found: Floats, true: Floats, valid: Mask) -> dict[str, float]:
-    """Angles between normals (H, W, 3) and the true ones over valid pixels, in degrees."""
-    return angle_errors(found[valid], true[valid])

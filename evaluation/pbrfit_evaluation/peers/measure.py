@@ -15,7 +15,6 @@ from pbrfit.display.tone import codes, encoded
 from pbrfit.model.materials import Materials
 from pbrfit.result import metrics
 from pbrfit.scene.scene import Scene
-from pbrfit.synthetic import make_scene
 from pbrfit_evaluation import cycles
 from pbrfit_evaluation.arrays import Floats
 from pbrfit_evaluation.grid import Case, Grid, measured
@@ -76,16 +75,13 @@ def work(task: Task, threads: int) -> dict[str, Any]:
 
 def given(task: Case, threads: int = 0) -> Scene:
     """A scene as every method has it: noisy pictures, and normals of an estimator's quality."""
-    lights, seed = task.lights, task.seed
     if task.condition == "own":
-        exact = make_scene(
-            "furnished", size=task.size, lights=lights, held_out=lights, noise=NOISE, seed=seed
-        )
+        exact = task.drawn(noise=NOISE)
     else:
         exact = table1.cycles_scene(task, ROWS["cycles-panorama"], threads)
-        noise = np.random.default_rng(seed).normal(scale=NOISE, size=exact.images.shape)
+        noise = np.random.default_rng(task.seed).normal(scale=NOISE, size=exact.images.shape)
         exact = replace(exact, depth=None, images=exact.images + noise)
-    return replace(exact, normals=estimated(exact, seed))
+    return replace(exact, normals=estimated(exact, task.seed))
 
 
 def evenly_lit(scene: Scene) -> int:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import json
-import math
 import os
 import platform
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from pbrfit.io.json_files import as_json, write_json
 from pbrfit.report import html
 from pbrfit.report.html import Cell, address, paragraph
 from pbrfit_evaluation.jobs import SUMMARY, Record
@@ -36,6 +35,9 @@ from pbrfit_evaluation.suite import (
 )
 
 CPUINFO = Path("/proc/cpuinfo")
+
+_TOLD = ("name", "scenes", "solver", "metrics", "paper", "status")
+"""Of a row, in the summary."""
 
 
 def write_summary(
@@ -58,23 +60,12 @@ def write_summary(
         "date": f"{datetime.now(UTC):%Y-%m-%d}",
         "version": version("pbrfit"),
         "machine": machine(),
-        "rows": [
-            {
-                "name": row.name,
-                "scenes": row.scenes,
-                "solver": row.solver,
-                "metrics": _finite(row.metrics),
-                "paper": row.paper,
-                "status": row.status,
-            }
-            for row in rows
-        ],
+        "rows": [{name: as_json(getattr(row, name)) for name in _TOLD} for row in rows],
         "tables": [{"title": title, "markdown": text} for title, text in tables.items()],
     }
     private = sorted({row.name for row in rows if row.private})
     content |= {"private": private} if private else {}
-    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
-    (folder / SUMMARY).write_text(text + "\n", encoding="utf-8")
+    write_json(folder / SUMMARY, content)
 
 
 def machine() -> dict[str, str | int]:
@@ -95,13 +86,6 @@ def _processor() -> str:
         lines = []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return names[0] if names else platform.processor() or "unknown"
-
-
-def _finite(metrics: Mapping[str, float | None]) -> dict[str, float | None]:
-    return {
-        name: value if value is not None and math.isfinite(value) else None
-        for name, value in metrics.items()
-    }
 
 
 PAGE = "report.html"
@@ -152,9 +136,8 @@ def write(folder: Path, suite: Suite[Any], options: argparse.Namespace, found: O
     for name, lines in found.files.items():
         if isinstance(lines, bytes):
             (folder / name).write_bytes(lines)
-            continue
-        columns = list(dict.fromkeys(column for line in lines for column in line))
-        write_csv(folder / name, columns, ([line.get(c) for c in columns] for line in lines))
+        else:
+            _write_csv(folder / name, lines)
     write_summary(
         folder,
         suite.protocol_of(options),
@@ -258,19 +241,14 @@ def _failures(failed: Sequence[Record]) -> Iterable[Section]:
         yield Section("What failed", "Failed cases are in no figure.", [table])
 
 
-def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Write CSV with a header line; numbers in full precision, None and NaN as empty cells."""
+def _write_csv(path: Path, lines: Sequence[Line]) -> None:
+    """Write CSV with a header line; numbers in full precision, NaN and what is not there empty."""
+    columns = dict.fromkeys(column for line in lines for column in line)
     with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        for row in rows:
-            writer.writerow([_text(cell) for cell in row])
-
-
-def _text(cell: object) -> str:
-    if cell is None or (isinstance(cell, float) and math.isnan(cell)):
-        return ""
-    return repr(float(cell)) if isinstance(cell, float) else str(cell)
+        writer = csv.DictWriter(file, list(columns))
+        writer.writeheader()
+        for line in lines:
+            writer.writerow({name: value for name, value in line.items() if value == value})
 
 
 # ------------------------------------------------------------------------------------- the page

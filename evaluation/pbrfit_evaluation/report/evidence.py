@@ -25,6 +25,7 @@ from types import MappingProxyType
 from typing import Any
 
 from pbrfit._core import InputError
+from pbrfit.io.json_files import write_json
 from pbrfit_evaluation.report import markdown, write_summary
 from pbrfit_evaluation.suite import Row, Table
 
@@ -43,8 +44,6 @@ ABSENT = "\n*Not measured at this version yet.*\n\n"
 """What stands in place of a table whose summary is not there."""
 
 _MENTION = re.compile(rf"\b{FOLDER}/(?P<file>[A-Za-z0-9._-]+\.(?:png|webp|csv))\b")
-
-_NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?!\w)")
 
 
 def pages(docs: Path) -> list[Path]:
@@ -86,8 +85,7 @@ def publish(docs: Path, name: str, folder: Path) -> None:
     filled = {page: _filled(page, text, name, summary) for page, text in texts.items()}
     to = docs / FOLDER
     to.mkdir(exist_ok=True)
-    content = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
-    (to / f"{name}.json").write_text(content + "\n", encoding="utf-8")
+    write_json(to / f"{name}.json", summary)
     for page, text in texts.items():
         for mention in _MENTION.finditer(text):
             file = mention["file"].removeprefix(f"{name}-")
@@ -190,16 +188,3 @@ def provenance(summary: Mapping[str, Any]) -> str:
         f"`{summary['command']}`, {summary['date']}, pbrfit {summary['version']}, "
         f"{on['processor']}, {on['cores']} cores."
     )
-
-
-def figures(summary: Mapping[str, Any]) -> list[float]:
-    """Every number that a summary has, in its rows and in its tables."""
-    numbers = [
-        value
-        for row in summary["rows"]
-        for of in (row["metrics"], row["paper"] or {})
-        for value in of.values()
-        if value is not None
-    ]
-    texts = (table["markdown"] for table in summary["tables"])
-    return numbers + [float(number) for text in texts for number in _NUMBER.findall(text)]

@@ -9,7 +9,6 @@ import numpy as np
 
 from pbrfit.model.materials import Materials
 from pbrfit.scene.scene import Scene
-from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.arrays import Array, known
 from pbrfit_evaluation.grid import Case, Grid, measured
 from pbrfit_evaluation.recipes import Way
@@ -75,8 +74,7 @@ def run(case: Case, threads: int) -> dict[str, Any]:
     Rooms are those of table1's base row: 16 pictures of mean radiance 0.4.
     """
     noise = NOISE.get(case.condition, 0.0)
-    lights: Any = {"lights": case.lights, "held_out": case.lights if noise else 1}
-    scene = make_scene(case.kind, size=case.size, seed=case.seed, noise=noise, **lights)
+    scene = case.drawn(noise=noise, held_out=case.lights if noise else 1)
     if case.condition == "exact":
         scene = replace(scene, images=scene.images.astype(np.float32))
     result, found = measured(case, WAYS[case.way], scene, threads)
@@ -85,10 +83,6 @@ def run(case: Case, threads: int) -> dict[str, Any]:
         rms = float(np.sqrt(np.mean(np.square(scene.images, dtype=np.float64))))
         scores["residual"] = scores["recon"] / rms
         scores["worst_map"] = max(scores[name] for name in MAPS)
-        scores["exact"] = is_exact(scores["residual"], scores["worst_map"], case.condition)
+        exact = scores["residual"] <= RESIDUAL[case.condition] and scores["worst_map"] <= MATERIAL
+        scores["exact"] = exact
     return {**found, "stop_reason": result.stop_reason}
-
-
-def is_exact(residual: float, worst_map: float, condition: str = "exact") -> bool:
-    """Whether residual and maps are within their bounds."""
-    return residual <= RESIDUAL[condition] and worst_map <= MATERIAL

@@ -16,8 +16,9 @@ import numpy as np
 from pbrfit.model.lamps import Lamps
 from pbrfit.result.refinement import RefineNormals
 from pbrfit.scene.scene import Scene
-from pbrfit.synthetic import World, draw, make_scene
+from pbrfit.synthetic import World, draw
 from pbrfit_evaluation import cycles, grid
+from pbrfit_evaluation.arrays import known
 from pbrfit_evaluation.grid import Grid, measured
 from pbrfit_evaluation.normal_errors import estimated
 from pbrfit_evaluation.recipes import DEFAULT, GUESS, OTHER, PAPER, PAPER_REGULARIZED, Way
@@ -193,16 +194,9 @@ def room(case: Case, threads: int) -> Scene:
     row = BY_KEY[case.condition]
     if row.renderer == "cycles":
         return replace(cycles_scene(case, row, threads), depth=None)
-    assert case.model is not None
-    return make_scene(
-        row.scene,
-        size=case.size,
-        lights=case.lights,
-        held_out=case.lights,
-        seed=case.seed,
-        model=OTHER[case.model] if row.swapped else case.model,
-        textures=_textures(case.textures),
-    )
+    model = OTHER[known(case.model)] if row.swapped else case.model
+    textures = _textures(case.textures)
+    return replace(case, kind=row.scene).drawn(model=model, textures=textures)
 
 
 def cycles_scene(case: grid.Case, row: Row, threads: int) -> Scene:
