@@ -7,10 +7,7 @@ from numpy.typing import NDArray
 
 from evaluation_tasks import depth_off, normals_off
 from pbrfit.model.geometry import view_directions
-from pbrfit_evaluation.depth_errors import (
-    ROUGH,
-    disturbed,
-)
+from pbrfit_evaluation.estimator_errors import ROUGH, estimated_depth
 
 SIZE, FOV = 64, 60.0
 ALL = np.ones((SIZE, SIZE), bool)
@@ -28,9 +25,8 @@ def plane(normal: tuple[float, float, float], distance: float = 3.0) -> tuple[Ar
 
 def test_depth_is_off_as_networks_are() -> None:
     depth, normals = plane((0.1, 0.3, 1.0))
-    rngs = [np.random.default_rng(seed) for seed in range(15)]
-    found = [disturbed(depth, rng) for rng in rngs]
+    found = [estimated_depth(depth, seed) for seed in range(15)]
     assert 0.03 < np.mean([depth_off(one, depth, ALL) for one in found]) < 0.06
     assert 8 < np.mean([normals_off(one, normals, FOV, ALL) for one in found]) < 18
-    rough = disturbed(depth, np.random.default_rng(0), noise=ROUGH)
+    rough = estimated_depth(depth, 0, noise=ROUGH)
     assert normals_off(rough, normals, FOV, ALL) > 30

@@ -19,9 +19,9 @@ from pbrfit.model.geometry import angles_between
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation import normals
+from pbrfit_evaluation.estimator_errors import LOWEST_COSINE
 from pbrfit_evaluation.generated.measure import WAYS
 from pbrfit_evaluation.grid import Case
-from pbrfit_evaluation.normal_errors import LOWEST_COSINE
 from pbrfit_evaluation.normals import figures, measure
 from pbrfit_evaluation.normals.measure import DISTURBANCES, MEAN_OF_THETA, disturbed
 

@@ -14,7 +14,7 @@ from pbrfit.model.geometry import angles_between
 from pbrfit.model.reflection import DEFAULT_MODEL, MODELS
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
-from pbrfit_evaluation.normal_errors import LOWEST_COSINE, as_estimated, estimated
+from pbrfit_evaluation.estimator_errors import LOWEST_COSINE, as_estimated, estimated_normals
 from pbrfit_evaluation.table1 import measure
 from pbrfit_evaluation.table1.figures import METRICS, rows
 from pbrfit_evaluation.table1.measure import BY_KEY, ROWS, Case
@@ -62,7 +62,7 @@ def test_normals_that_nobody_knows_spoil_no_others() -> None:
         normals=np.where(unknown[..., None], np.nan, whole.normals),
         truth=None,
     )
-    of_all, found = (estimated(scene, 3) for scene in (whole, masked))
+    of_all, found = (estimated_normals(scene, 3) for scene in (whole, masked))
     np.testing.assert_array_equal(np.isnan(found).all(axis=-1), unknown)
     assert np.isfinite(of_all).all()
     assert np.median(angles_between(found, of_all)[~unknown]) < 2.0

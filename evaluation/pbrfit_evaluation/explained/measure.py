@@ -15,14 +15,14 @@ from pbrfit.scene.integration import depth_from_normals
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation import cycles
 from pbrfit_evaluation.arrays import unit
-from pbrfit_evaluation.depth_errors import ROUGH, estimated
+from pbrfit_evaluation.estimator_errors import ROUGH, estimated_depth
 from pbrfit_evaluation.grid import Case, Grid, measured
 from pbrfit_evaluation.recipes import GUESS, Way
 from pbrfit_evaluation.table1 import measure as table1
 from pbrfit_evaluation.table1.measure import BY_KEY as TABLE1
 
 Depth = Literal["none", "true", "network", "rough", "integrated"]
-"""The true one; disturbed like a network's (`depth_errors`), or more; integrated from normals."""
+"""The true one; with the errors of a network, or of something worse; integrated from normals."""
 
 
 @dataclass(frozen=True)
@@ -163,9 +163,9 @@ def told(exact: Scene, variant: Variant, seed: int) -> Scene:
         case "true":
             depth = true
         case "network":
-            depth = estimated(true, seed)
+            depth = estimated_depth(true, seed)
         case "rough":
-            depth = estimated(true, seed, noise=ROUGH)
+            depth = estimated_depth(true, seed, noise=ROUGH)
         case "integrated":
             depth = depth_from_normals(exact.normals, exact.fov, segments=segments)
     return replace(exact, segments=segments, depth=depth)

@@ -33,10 +33,10 @@ from pbrfit.result.result import Result
 from pbrfit.result.sheet import displayed
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import draw, make_scene
-from pbrfit_evaluation import cycles, map_errors
+from pbrfit_evaluation import cycles
 from pbrfit_evaluation.arrays import Array, Floats, filled
 from pbrfit_evaluation.cycles.blender import rendered_export
-from pbrfit_evaluation.depth_errors import estimated
+from pbrfit_evaluation.estimator_errors import estimated_depth, estimated_maps
 from pbrfit_evaluation.everyday.measure import read_back, write_png
 from pbrfit_evaluation.grid import Case, Grid
 from pbrfit_evaluation.jobs import Values
@@ -288,7 +288,7 @@ def run(case: Case, threads: int) -> Values:
         if way.normals == "estimated":
             wrong = disturbed(scene, "estimator", NORMALS_OFF, case.seed)
             assert depth is not None
-            scene = replace(scene, normals=wrong, depth=estimated(depth, case.seed))
+            scene = replace(scene, normals=wrong, depth=estimated_depth(depth, case.seed))
         scene = given(scene, pictures[kept], as_files=way.level != "exact")
         if way.maps:
             scene = replace(scene, estimates=maps_of(scene, pictures[0], case.seed, way.maps))
@@ -311,9 +311,9 @@ def run(case: Case, threads: int) -> Values:
 def maps_of(scene: Scene, photograph: Array, seed: int, whose: str) -> Materials:
     """Estimates of a network for a room, or those of another room."""
     if whose == "own":
-        return map_errors.estimated(scene, photograph, seed)
+        return estimated_maps(scene, photograph, seed)
     other = make_scene(KIND, size=scene.width, lights=2, held_out=1, seed=seed + OTHER_SEED)
-    return map_errors.estimated(other, other.images[0].astype(np.float64), seed)
+    return estimated_maps(other, other.images[0].astype(np.float64), seed)
 
 
 def reviewed(pictures: Array) -> list[int]:

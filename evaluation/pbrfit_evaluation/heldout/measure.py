@@ -22,6 +22,7 @@ from pbrfit.result.result import Result
 from pbrfit.result.sheet import outside_grey
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.arrays import Array, Mask
+from pbrfit_evaluation.estimator_errors import angle_errors
 from pbrfit_evaluation.heldout.baselines import (
     Baseline,
     Interpolated,
@@ -31,7 +32,6 @@ from pbrfit_evaluation.heldout.baselines import (
 from pbrfit_evaluation.heldout.light import ambient_terms, explained_by
 from pbrfit_evaluation.heldout.sources import Opened, Source, evenly, opened
 from pbrfit_evaluation.jobs import Values
-from pbrfit_evaluation.normal_errors import angle_errors
 from pbrfit_evaluation.panels import packed
 from pbrfit_evaluation.recipes import PAPER
 

@@ -12,9 +12,9 @@ correlated
 biased
     One ω of length θ for the whole picture, about an axis that is drawn evenly from all.
 estimator
-    The errors of a learned estimator (`normal_errors.as_estimated`): outlines that are washed out,
-    whole objects turned, patches. All of it is made as much stronger or weaker as it takes for a
-    mean angle of 1.25 θ, that of a correlated disturbance.
+    The errors of a learned estimator (`estimator_errors`): outlines that are washed out, whole
+    objects turned, patches. All of it is made as much stronger or weaker as it takes for a mean
+    angle of 1.25 θ, that of a correlated disturbance.
 
 At the end normals that would face away from the camera are bent until they do not.
 """
@@ -32,8 +32,8 @@ from pbrfit.model.geometry import angles_between
 from pbrfit.result.refinement import CHOICES
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.arrays import Array, Mask, filled
+from pbrfit_evaluation.estimator_errors import angle_errors, as_estimated, facing, smooth, turned
 from pbrfit_evaluation.grid import Case, Grid, measured
-from pbrfit_evaluation.normal_errors import angle_errors, as_estimated, facing, smooth, turned
 from pbrfit_evaluation.recipes import Way
 from pbrfit_evaluation.suite import Options
 

@@ -17,8 +17,8 @@ from pbrfit.result import metrics
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation import cycles
 from pbrfit_evaluation.arrays import Floats
+from pbrfit_evaluation.estimator_errors import estimated_normals
 from pbrfit_evaluation.grid import Case, Grid, measured
-from pbrfit_evaluation.normal_errors import estimated
 from pbrfit_evaluation.recipes import GUESS, Way, within
 from pbrfit_evaluation.suite import Options
 from pbrfit_evaluation.table1 import measure as table1
@@ -81,7 +81,7 @@ def given(task: Case, threads: int = 0) -> Scene:
         exact = table1.cycles_scene(task, ROWS["cycles-panorama"], threads)
         noise = np.random.default_rng(task.seed).normal(scale=NOISE, size=exact.images.shape)
         exact = replace(exact, depth=None, images=exact.images + noise)
-    return replace(exact, normals=estimated(exact, task.seed))
+    return replace(exact, normals=estimated_normals(exact, task.seed))
 
 
 def evenly_lit(scene: Scene) -> int:

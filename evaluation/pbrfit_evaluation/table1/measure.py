@@ -19,8 +19,8 @@ from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import World, draw
 from pbrfit_evaluation import cycles, grid
 from pbrfit_evaluation.arrays import known
+from pbrfit_evaluation.estimator_errors import estimated_normals
 from pbrfit_evaluation.grid import Grid, measured
-from pbrfit_evaluation.normal_errors import estimated
 from pbrfit_evaluation.recipes import DEFAULT, GUESS, OTHER, PAPER, PAPER_REGULARIZED, Way
 from pbrfit_evaluation.rooms.textures import MaterialSet, load_textures
 from pbrfit_evaluation.suite import Options
@@ -236,5 +236,5 @@ def as_given(scene: Scene, case: Case) -> Scene:
     """What the decomposition is given, which may be wrong."""
     row = BY_KEY[case.condition]
     if row.normals == "predicted":
-        scene = replace(scene, normals=estimated(scene, case.seed))
+        scene = replace(scene, normals=estimated_normals(scene, case.seed))
     return scene if row.fov == scene.fov else replace(scene, fov=row.fov)
