@@ -1,7 +1,9 @@
-"""Names for kinds of arrays, and small things that many suites do with arrays."""
+"""Names for kinds of arrays, and small things that many suites do with figures and arrays."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from typing import Any, TypeVar
 
 import numpy as np
@@ -31,3 +33,9 @@ def filled(vectors: Floats, valid: Mask) -> Array:
     """Vectors (H, W, 3), outside the mask those of the nearest pixel inside."""
     found: Array = np.asarray(vectors, dtype=np.float64)[nearest_inside(valid)]
     return found
+
+
+def worst(figures: Mapping[str, float]) -> tuple[float, str]:
+    """Value and name of the largest figure; one that is not a number beats them all."""
+    name = max(figures, key=lambda n: math.inf if math.isnan(figures[n]) else figures[n])
+    return float(figures[name]), name

@@ -47,9 +47,6 @@ C_co = TypeVar("C_co", bound=Task, covariant=True)
 
 # ------------------------------------------------------------------------------ what is measured
 
-CONFIDENCE = 0.95
-RESAMPLES = 2000
-
 
 @dataclass(frozen=True)
 class Mean:
@@ -81,8 +78,8 @@ def mean_with_interval(values: Iterable[float]) -> Mean:
     found = bootstrap(
         (finite,),
         np.mean,
-        n_resamples=RESAMPLES,
-        confidence_level=CONFIDENCE,
+        n_resamples=2000,
+        confidence_level=0.95,
         method="percentile",
         rng=np.random.default_rng(0),
     )

@@ -7,9 +7,7 @@ from collections.abc import Iterator, Sequence
 from pbrfit.commands.fit_options import MODEL_OF_PICTURES, add_option
 from pbrfit.model.reflection import DEFAULT_MODEL
 from pbrfit_evaluation.ablation.measure import FEW, GRID, WAYS, run
-from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, pictures, ratios
-from pbrfit_evaluation.grid.figures import rows as grid_rows
-from pbrfit_evaluation.grid.figures import verdicts as of_bars
+from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, grid_rows, of_bars, pictures, ratios
 from pbrfit_evaluation.options import count
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
 from pbrfit_evaluation.suite import Row, Section, Suite, Table, Value, Verdict

@@ -94,12 +94,6 @@ def export(world: World, size: int, fov: float) -> Stage:
     return Stage(meshes=meshes, maps=maps, size=size, fov=fov)
 
 
-def check_choice(name: str, value: object, choices: Sequence[str]) -> None:
-    """Raise InputError unless the value is one of the choices."""
-    if value not in choices:
-        raise InputError(f"{name}: expected one of {', '.join(choices)}, found {value!r}")
-
-
 def light_blockers(world: World, fov: float) -> tuple[bool, ...]:
     """Which primitives are solid: pieces, and walls that the camera sees but the ceiling."""
     rays = -view_directions(64, 64, fov).reshape(-1, 3)

@@ -8,15 +8,16 @@ import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.io.checks import one_of
 from pbrfit.io.output import new_folder
 from pbrfit_evaluation.arrays import Array
-from pbrfit_evaluation.cycles.export import Stage, check_choice
+from pbrfit_evaluation.cycles.export import Stage
 from pbrfit_evaluation.cycles.process import (
     WORKER,
     CyclesError,
@@ -84,8 +85,8 @@ class Job:
     Blender's default: the lobe is scaled up by it."""
 
     def __post_init__(self) -> None:
-        check_choice("transport", self.transport, get_args(Transport))
-        check_choice("distribution", self.distribution, get_args(Distribution))
+        one_of("transport", self.transport, Transport)
+        one_of("distribution", self.distribution, Distribution)
         if not 1 <= self.samples < 2**24:
             raise InputError(f"samples: expected a number from 1, found {self.samples}")
         if not 0 <= self.seed < 2**31:

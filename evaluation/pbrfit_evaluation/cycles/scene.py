@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.io.checks import one_of
 from pbrfit.model.geometry import view_directions
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
@@ -18,7 +19,7 @@ from pbrfit.synthetic import MEAN_RADIANCE, gains
 from pbrfit.synthetic.lights import random_colors, random_lights
 from pbrfit.synthetic.world import World
 from pbrfit_evaluation.arrays import Array, Floats, Mask
-from pbrfit_evaluation.cycles.export import Stage, check_choice, export
+from pbrfit_evaluation.cycles.export import Stage, export
 from pbrfit_evaluation.cycles.job import Job, Transport, rendered
 
 Light = Literal["panorama", "points"]
@@ -101,8 +102,8 @@ def render_scene(
     CyclesError
         If the renderer fails.
     """
-    check_choice("light", light, get_args(Light))
-    check_choice("transport", transport, get_args(Transport))
+    one_of("light", light, Light)
+    one_of("transport", transport, Transport)
     if lights < 1 or held_out < 1:
         raise InputError(f"lights, held_out: expected 1 or more, found {lights} and {held_out}")
     if seed < 0:

@@ -14,9 +14,7 @@ from pbrfit_evaluation.everyday.measure import (
     covered,
     run,
 )
-from pbrfit_evaluation.grid.figures import MAPS, Bar, Metrics, Of, sheets
-from pbrfit_evaluation.grid.figures import rows as grid_rows
-from pbrfit_evaluation.grid.figures import verdicts as of_bars
+from pbrfit_evaluation.grid.figures import MAPS, Bar, Metrics, Of, grid_rows, of_bars, sheets
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
 from pbrfit_evaluation.suite import Row, Section, Suite, Table, Verdict, digits
 

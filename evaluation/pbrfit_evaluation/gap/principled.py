@@ -91,18 +91,18 @@ class PrincipledResponse:
         return np.asarray(m * metal + (1 - m) * (multiple * self.glass + body))
 
 
-def respond(roughness: float, n_dot_v: float, nodes: int = NODES) -> PrincipledResponse:
+def respond(roughness: float, n_dot_v: float) -> PrincipledResponse:
     """Integrate the BRDF at a roughness and a view angle, both in (0, 1].
 
     Raises InputError if roughness or n·v lies outside its range.
     """
-    (base, grazing, glass), error = _integrals(roughness, n_dot_v, nodes)
+    (base, grazing, glass), error = _integrals(roughness, n_dot_v)
     return PrincipledResponse(base, grazing, glass, mean_albedo(roughness), error)
 
 
 @lru_cache(maxsize=4096)
-def _integrals(roughness: float, n_dot_v: float, nodes: int) -> tuple[Array, float]:
-    return integrated_lobe(roughness, n_dot_v, nodes, masking, _fresnel)
+def _integrals(roughness: float, n_dot_v: float) -> tuple[Array, float]:
+    return integrated_lobe(roughness, n_dot_v, masking, _fresnel)
 
 
 @lru_cache(maxsize=1024)

@@ -9,8 +9,7 @@ from pbrfit._core import InputError
 from pbrfit.acquire.photo import LEAST_SIDE
 from pbrfit_evaluation.generated.measure import GRID, PICTURED, WAYS, by_cycles, run
 from pbrfit_evaluation.grid import Case
-from pbrfit_evaluation.grid.figures import Metrics, Of, pictures
-from pbrfit_evaluation.grid.figures import rows as grid_rows
+from pbrfit_evaluation.grid.figures import Metrics, Of, grid_rows, pictures
 from pbrfit_evaluation.options import count
 from pbrfit_evaluation.panels import in_lines, unpacked
 from pbrfit_evaluation.scores import PROTOCOL as SCORES

@@ -59,10 +59,6 @@ class Case:
         return make_scene(self.kind, size=self.size, seed=self.seed, **given)
 
 
-def _always(*_: object) -> str:
-    return ""
-
-
 @dataclass(frozen=True)
 class Grid:
     """What a suite compares."""
@@ -83,7 +79,7 @@ class Grid:
     few: Sequence[str] = ()
     few_ways: Sequence[str] = ()
     """`few` and `few_ways`: conditions and ways of a quick look, where these are not all."""
-    why_not: Callable[[Options, str, str], str] = _always
+    why_not: Callable[[Options, str, str], str] = lambda *_: ""
     """Why a condition or way cannot be run; empty if it can."""
     sized: Callable[[Options, str], tuple[int, int]] = lambda of, _: (of.scenes, of.size)
     """Scenes of a condition and the side of their pictures, where not all have the same."""

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from pbrfit_evaluation.arrays import worst
 from pbrfit_evaluation.grid import Case, Grid
 from pbrfit_evaluation.jobs import Values
 from pbrfit_evaluation.panels import beside_truth, unpacked
@@ -17,19 +17,13 @@ Metrics = Mapping[str, float | None]
 MAPS = ("albedo", "roughness", "metallic")
 
 
-def each(grid: Grid, results: Of) -> Iterator[tuple[str, str, Of]]:
-    """Conditions and ways that were asked for, with their cases."""
-    for condition, way in grid.each(results.options):
-        yield condition, way, results.of(condition=condition, way=way)
-
-
 def by_seed(results: Of, condition: str, way: str, *path: str) -> dict[int, float]:
     """The number at a path of names of each scene."""
     of = results.of(condition=condition, way=way)
     return {case.seed: of.of(seed=case.seed).average(*path) for case, _ in of.finished}
 
 
-def rows(
+def grid_rows(
     grid: Grid,
     results: Of,
     metrics: Sequence[str],
@@ -37,7 +31,8 @@ def rows(
 ) -> list[Row]:
     """A row a condition and way: means of the scores, and what more is made of its cases."""
     found = []
-    for condition, key, of in each(grid, results):
+    for condition, key in grid.each(results.options):
+        of = results.of(condition=condition, way=key)
         way, why = grid.ways[key], grid.why_not(results.options, condition, key)
         status = f"not run: {why}" if why else of.status("scenes")
         values: dict[str, float | None] = {}
@@ -67,29 +62,22 @@ class Bar:
 
 def ratios(results: Of, bar: Bar) -> dict[str, float]:
     """By score what a bar judges; NaN where cases are missing."""
-    one, other = (
-        None if of is None else results.of(condition=of[0], way=of[1]) for of in (bar.of, bar.over)
-    )
-    assert one is not None
-    return {
-        name: one.average("scores", name) if other is None else one.over(other, name)
-        for name in bar.names
-    }
+    one = results.of(condition=bar.of[0], way=bar.of[1])
+    if bar.over is None:
+        return {name: one.average("scores", name) for name in bar.names}
+    other = results.of(condition=bar.over[0], way=bar.over[1])
+    return {name: one.over(other, name) for name in bar.names}
 
 
-def verdicts(results: Of, bars: Iterable[Bar]) -> Iterator[Verdict]:
+def of_bars(results: Of, bars: Iterable[Bar]) -> Iterator[Verdict]:
     """Bars between cases that were both asked for; without any that finished nothing holds."""
     there = {(case.condition, case.way) for case, _ in results.pairs}
     for bar in bars:
         if {bar.of, bar.over or bar.of} <= there:
             found = ratios(results, bar)
-            worst = max(found, key=lambda name: _size(found[name]))
-            where = worst.replace("_", ", ") if len(found) > 1 else ""
-            yield Verdict(bar.what, found[worst], bar.most, where, part=bar.part)
-
-
-def _size(value: float) -> float:
-    return math.inf if math.isnan(value) else value
+            value, name = worst(found)
+            where = name.replace("_", ", ") if len(found) > 1 else ""
+            yield Verdict(bar.what, value, bar.most, where, part=bar.part)
 
 
 def sheets(

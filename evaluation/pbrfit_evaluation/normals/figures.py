@@ -11,9 +11,7 @@ import numpy as np
 from pbrfit._core import InputError
 from pbrfit.commands.arguments import add_threads
 from pbrfit_evaluation.grid import Case
-from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, by_seed
-from pbrfit_evaluation.grid.figures import rows as grid_rows
-from pbrfit_evaluation.grid.figures import verdicts as of_bars
+from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, by_seed, grid_rows, of_bars
 from pbrfit_evaluation.normals.measure import (
     DISTURBANCES,
     MAPS,

@@ -8,8 +8,7 @@ from typing import get_args
 
 from pbrfit.acquire.marigold import MATERIALS_MODEL
 from pbrfit.acquire.weights import Device
-from pbrfit_evaluation.grid.figures import Of, sheets
-from pbrfit_evaluation.grid.figures import rows as grid_rows
+from pbrfit_evaluation.grid.figures import Of, grid_rows, sheets
 from pbrfit_evaluation.options import count, option
 from pbrfit_evaluation.peers import rgbx
 from pbrfit_evaluation.peers.measure import GRID, Task, work

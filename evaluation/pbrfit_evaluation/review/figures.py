@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from scipy.stats import binomtest
 
@@ -26,7 +25,13 @@ GROUPS: dict[str, tuple[str, ...]] = {
 }
 """What has to be caught, by the damages it is made of."""
 
-EVERY = tuple(damage for kinds in GROUPS.values() for damage in kinds)
+JUDGED: dict[str, tuple[tuple[str, ...], bool]] = {
+    "all damage": (tuple(damage for kinds in GROUPS.values() for damage in kinds), True),
+    **{name: (kinds, True) for name, kinds in GROUPS.items()},
+    "honest": (("honest",), False),
+    "honest among damaged": (("honest",), True),
+}
+"""What is counted: kinds of damage, and whether judged among damaged pictures."""
 
 
 @dataclass(frozen=True)
@@ -53,32 +58,16 @@ class Rate:
         return f"{self.refused} of {self.pictures}"
 
 
-def _pictures(results: Results[Task]) -> Iterator[tuple[Task, Mapping[str, Any]]]:
-    return ((task, one) for task, values in results.finished for one in values["judged"])
-
-
-def rate(results: Results[Task], *damages: str, among_damaged: bool = True) -> Rate:
-    """Refused of the pictures with some kinds of damage; honest ones by where they were judged."""
-    refused = [
-        bool(one["refused"])
-        for _, one in _pictures(results)
-        if one["damage"] in damages and one["among_damaged"] == among_damaged
-    ]
-    return Rate(sum(refused), len(refused))
-
-
-def _rates(results: Results[Task]) -> dict[str, Rate]:
-    return {
-        **{name: rate(results, *kinds) for name, kinds in GROUPS.items()},
-        "honest": rate(results, "honest", among_damaged=False),
-        "honest among damaged": rate(results, "honest"),
-    }
-
-
 def _judged(results: Results[Task]) -> Iterator[tuple[str, Rate, Verdict]]:
     """What is counted, how many, and what the share has to be; of no pictures, nothing holds."""
-    for name, of in {"all damage": rate(results, *EVERY), **_rates(results)}.items():
-        honest = name.startswith("honest")
+    pictures = [one for _, values in results.finished for one in values["judged"]]
+    for name, (damages, among_damaged) in JUDGED.items():
+        refused = [
+            bool(one["refused"])
+            for one in pictures
+            if one["damage"] in damages and one["among_damaged"] == among_damaged
+        ]
+        of, honest = Rate(sum(refused), len(refused)), name.startswith("honest")
         bar = MOST_REFUSED if honest else LEAST_CAUGHT
         what = f"{name}: share refused"
         yield name, of, Verdict(what, of.share, bar, f"{of} pictures", at_least=not honest)

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 
-from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, by_seed
-from pbrfit_evaluation.grid.figures import rows as grid_rows
-from pbrfit_evaluation.grid.figures import verdicts as of_bars
+from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, by_seed, grid_rows, of_bars
 from pbrfit_evaluation.options import count
 from pbrfit_evaluation.solvers.measure import GRID, NOISE, RESIDUAL, run
 from pbrfit_evaluation.suite import Row, Suite, Verdict

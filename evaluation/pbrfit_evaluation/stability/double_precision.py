@@ -8,7 +8,6 @@ precision, not the arithmetic that is under test.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,9 +17,6 @@ from numpy.typing import NDArray
 from pbrfit import _core
 from pbrfit.model.reflection import Model, ggx_band_weights, shade, shade_vjp
 from pbrfit_evaluation.arrays import Array
-
-Figure = tuple[float, str]
-"""The worst of all that was tried, and where it was found."""
 
 Rows = dict[str, dict[str, float]]
 """What was found, by case and key."""
@@ -194,12 +190,6 @@ class Compared:
 def compare(case: Case, threads: int) -> Compared:
     """Evaluate a case both ways."""
     return Compared(*case.problem(threads).value_and_grad(case.x), evaluate(case))
-
-
-def worst(figures: Mapping[str, float]) -> Figure:
-    """Value and name of the largest figure; one that is not a number beats them all."""
-    name = max(figures, key=lambda n: math.inf if math.isnan(figures[n]) else figures[n])
-    return float(figures[name]), name
 
 
 def ratio(error: float, size: float) -> float:

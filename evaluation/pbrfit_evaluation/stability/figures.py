@@ -5,9 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from pbrfit.commands.arguments import add_threads, whole_number
+from pbrfit_evaluation.arrays import worst
+from pbrfit_evaluation.jobs import Values
 from pbrfit_evaluation.options import option
 from pbrfit_evaluation.stability.sections import SECTIONS, Task, run
 from pbrfit_evaluation.suite import Options, Results, Row, Section, Suite, Table, Verdict
+
+
+def worst_of(task: Task, values: Values) -> dict[str, tuple[float, str]]:
+    """The worst of each key that has a bound, and where, over all rows that have it."""
+    found = {
+        key: {name: row[key] for name, row in values["rows"].items() if key in row}
+        for key in SECTIONS[task.section].bounds
+    }
+    return {key: worst(of) for key, of in found.items() if of}
 
 
 def verdicts(results: Results[Task], _: Sequence[Row] = ()) -> list[Verdict]:
@@ -15,9 +26,8 @@ def verdicts(results: Results[Task], _: Sequence[Row] = ()) -> list[Verdict]:
     return [
         Verdict(what, value, most, where, part=task.section)
         for task, values in results.finished
-        for key, (what, most) in SECTIONS[task.section].bounds.items()
-        if key in values["figures"]
-        for value, where in [values["figures"][key]]
+        for key, (value, where) in worst_of(task, values).items()
+        for what, most in [SECTIONS[task.section].bounds[key]]
     ]
 
 
@@ -25,15 +35,11 @@ def rows(results: Results[Task]) -> list[Row]:
     """A row a section: figures, their bounds, and how many fail."""
     found = []
     for task, record in results.pairs:
-        of = results.of(section=task.section)
-        failed = sum(not verdict.holds for verdict in verdicts(of))
+        failed = sum(not verdict.holds for verdict in verdicts(results.of(section=task.section)))
         metrics: dict[str, float | None] = {}
-        of_task = (record.values or {}).get("figures", {})
-        for key, (_, most) in SECTIONS[task.section].bounds.items():
-            if key in of_task:
-                metrics[key] = of_task[key][0]
-                if most is not None:
-                    metrics[f"{key}_bound"] = most
+        for key, (value, _) in (worst_of(task, record.values) if record.values else {}).items():
+            most = SECTIONS[task.section].bounds[key][1]
+            metrics |= {key: value} if most is None else {key: value, f"{key}_bound": most}
         status = record.error or ("not held" if failed else "ok")
         found.append(Row(task.section, 0, None, metrics | {"failed": failed}, status=status))
     return found
@@ -42,7 +48,7 @@ def rows(results: Results[Task]) -> list[Row]:
 def sections(results: Results[Task], _: Sequence[Row]) -> Iterator[Section]:
     """What was measured, why the bounds are what they are, and all cases."""
     for task, values in results.finished:
-        of, rows = SECTIONS[task.section], values.get("rows", {})
+        of, rows = SECTIONS[task.section], values["rows"]
         text = f"{of.text}\n\nWhy these bounds: {of.why}"
         bars = {key: most for key, (_, most) in of.bounds.items() if most is not None}
         if failed := [

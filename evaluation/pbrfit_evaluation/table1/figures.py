@@ -8,8 +8,7 @@ from pathlib import Path
 
 from pbrfit._core import InputError
 from pbrfit.model.reflection import Model
-from pbrfit_evaluation.grid.figures import Of, sheets
-from pbrfit_evaluation.grid.figures import rows as grid_rows
+from pbrfit_evaluation.grid.figures import Of, grid_rows, sheets
 from pbrfit_evaluation.jobs import digest_of_files
 from pbrfit_evaluation.options import count, model_option, models, option
 from pbrfit_evaluation.plots import dots

@@ -17,8 +17,7 @@ from pbrfit.result.verdict import (
     USABLE_MAX,
 )
 from pbrfit_evaluation.arrays import Array
-from pbrfit_evaluation.grid.figures import Metrics, Of
-from pbrfit_evaluation.grid.figures import rows as grid_rows
+from pbrfit_evaluation.grid.figures import Metrics, Of, grid_rows
 from pbrfit_evaluation.options import option
 from pbrfit_evaluation.plots import draw, dress, mark, panels, png
 from pbrfit_evaluation.suite import Picture, Row, Section, Suite, Table, Value, Verdict, digits

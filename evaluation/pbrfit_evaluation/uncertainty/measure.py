@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -42,11 +42,7 @@ from pbrfit_evaluation.jobs import Values
 from pbrfit_evaluation.normals.measure import MEAN_OF_THETA, disturbed
 from pbrfit_evaluation.recipes import OTHER, constant_guess
 
-Group = Literal["model holds", "wrong input", "other light and files"]
-GROUPS: tuple[Group, ...] = get_args(Group)
-
-Name = str
-"""One of `NAMES`."""
+GROUPS = ("model holds", "wrong input", "other light and files")
 
 FEW = 3
 """Pictures of a scene that has few."""
@@ -73,13 +69,13 @@ class Condition:
 
     title: str
     """What tables and plots say."""
-    group: Group
-    """With which others it is drawn."""
+    group: str
+    """With which others it is drawn, one of `GROUPS`."""
     options: Mapping[str, Any] = field(default_factory=dict)
     """Of `pbrfit.decompose`, beside its defaults."""
 
 
-CONDITIONS: Mapping[Name, Condition] = {
+CONDITIONS: Mapping[str, Condition] = {
     "clean": Condition("no noise", "model holds"),
     "noise": Condition("noise", "model holds"),
     "no-priors": Condition("noise, no priors", "model holds", {"priors": None}),
@@ -96,10 +92,9 @@ CONDITIONS: Mapping[Name, Condition] = {
     "bounces": Condition("bounced light, no depth given", "other light and files"),
     "lamps": Condition("lamps, fitted as harmonics", "other light and files", {"light": "sh"}),
 }
-NAMES: tuple[Name, ...] = tuple(CONDITIONS)
 
 
-def made(name: Name, kind: str, seed: int, size: int, model: Model, threads: int = 0) -> Scene:
+def made(name: str, kind: str, seed: int, size: int, model: Model, threads: int = 0) -> Scene:
     """Make the scene of a condition, with its true materials.
 
     `kind`, `seed` and `size` are those of `pbrfit.synthetic.make_scene`; what is drawn here has a
@@ -107,7 +102,7 @@ def made(name: Name, kind: str, seed: int, size: int, model: Model, threads: int
     """
     of = OTHER[model] if name == "other-model" else model
     drawn = partial(everyday.made, kind, seed, size, model=of, held_out=1)
-    rng = np.random.default_rng([seed, 9, NAMES.index(name)])
+    rng = np.random.default_rng([seed, 9, list(CONDITIONS).index(name)])
     match name:
         case "noise" | "no-priors":
             return drawn(NOISE)
