@@ -13,7 +13,7 @@ from pbrfit_evaluation.ablation import figures, measure
 from pbrfit_evaluation.ablation.measure import GRID, TITLES, room
 from pbrfit_evaluation.grid import Case
 from pbrfit_evaluation.grid.figures import Of
-from pbrfit_evaluation.scores import Scores
+from pbrfit_evaluation.scores import SCORES
 from scene_files import known, truth_of
 
 SIZE, SEED = 24, 2000
@@ -61,7 +61,7 @@ def rooms_with(errors: dict[str, float], failed: str = "merged") -> Of:
     options = {"first_seed": SEED, "scenes": 2, "size": 8, "model": "paper"}
     pairs = []
     for of in GRID.cases(recorded(**options).options):
-        scores = dict.fromkeys(Scores.__dataclass_fields__, errors.get(of.way, 0.2))
+        scores = dict.fromkeys(SCORES, errors.get(of.way, 0.2))
         broken = of.condition == failed and of.seed > SEED
         pairs.append((of, "MemoryError: too large" if broken else {"scores": scores}))
     return recorded(*pairs, **options)

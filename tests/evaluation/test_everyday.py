@@ -17,13 +17,8 @@ from pbrfit.model.reflection import render
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.everyday import figures, measure
 from pbrfit_evaluation.everyday.figures import MOST
-from pbrfit_evaluation.everyday.measure import (
-    BAD_PICTURE,
-    DISTURBANCES,
-    NOISE,
-    disturbed,
-)
-from pbrfit_evaluation.grid import PICTURES, Case
+from pbrfit_evaluation.everyday.measure import BAD_PICTURE, DISTURBANCES, disturbed
+from pbrfit_evaluation.grid import NOISE, PICTURES, Case
 from scene_files import known, truth_of
 
 SIZE, SEED = 16, 7

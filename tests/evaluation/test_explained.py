@@ -32,7 +32,7 @@ from pbrfit_evaluation.explained.measure import (
 )
 from pbrfit_evaluation.grid import Case
 from pbrfit_evaluation.table1 import measure as table1
-from pbrfit_evaluation.table1.measure import BY_KEY as TABLE1
+from pbrfit_evaluation.table1.measure import ROWS as TABLE1
 from pbrfit_evaluation.transport.figures import CHOICES
 from scene_files import known, run
 

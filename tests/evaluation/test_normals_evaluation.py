@@ -24,6 +24,7 @@ from pbrfit_evaluation.generated.measure import WAYS
 from pbrfit_evaluation.grid import Case
 from pbrfit_evaluation.normals import figures, measure
 from pbrfit_evaluation.normals.measure import DISTURBANCES, MEAN_OF_THETA, disturbed
+from pbrfit_evaluation.scores import MAPS
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +102,7 @@ def test_demands_hold_up_to_their_bounds() -> None:
         assert any("metallic loss" in what for what in found) == (failing == 5)
     assert missed(*room_of("true", 1, 0.1, 0.103, 0.29)) == []
     assert len(missed(*room_of("true", 1, 0.1, 0.1031, 0.31))) == len(figures.METRICS) + 1
-    values = {"scores": dict.fromkeys(measure.MAPS, 0.1), "angle": {"mean": 0.1}}
+    values = {"scores": dict.fromkeys(MAPS, 0.1), "angle": {"mean": 0.1}}
     for back, fails in (((True, True, True, False, False), 0), ((True, True, False, False), 1)):
         cases = [Case("exact-correlated", "on", seed, 16) for seed in range(len(back))]
         pairs = [(of, values | {"came_back": one}) for of, one in zip(cases, back, strict=True)]

@@ -15,9 +15,10 @@ from pbrfit.model.reflection import DEFAULT_MODEL, MODELS
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.estimator_errors import LOWEST_COSINE, as_estimated, estimated_normals
+from pbrfit_evaluation.scores import SCORES
 from pbrfit_evaluation.table1 import measure
-from pbrfit_evaluation.table1.figures import METRICS, rows
-from pbrfit_evaluation.table1.measure import BY_KEY, ROWS, Case
+from pbrfit_evaluation.table1.figures import rows
+from pbrfit_evaluation.table1.measure import ROWS, Case
 from scene_files import known
 
 
@@ -70,7 +71,7 @@ def test_normals_that_nobody_knows_spoil_no_others() -> None:
 
 @pytest.mark.parametrize("key", ["base", "fov90", "normals", "normals-refined", "detailed"])
 def test_a_scene_is_told_what_its_row_says_and_nothing_else(key: str) -> None:
-    row, scene = BY_KEY[key], given(key)
+    row, scene = ROWS[key], given(key)
     truth = make_scene(row.scene, size=16, lights=4, held_out=4, seed=1001)
     np.testing.assert_array_equal(scene.images, truth.images)
     assert scene.fov == row.fov
@@ -79,7 +80,7 @@ def test_a_scene_is_told_what_its_row_says_and_nothing_else(key: str) -> None:
 
 
 def test_our_renderer_uses_the_model_that_is_fitted_but_in_one_row() -> None:
-    swapped = [row.key for row in ROWS if row.swapped]
+    swapped = [key for key, row in ROWS.items() if row.swapped]
     assert swapped == ["other-model"]
     [other] = swapped
     for model in MODELS:
@@ -92,9 +93,9 @@ def test_our_renderer_uses_the_model_that_is_fitted_but_in_one_row() -> None:
 
 def test_rows_have_the_papers_figures_and_say_why_some_were_not_run() -> None:
     pairs: list[tuple[Case, Any]] = []
-    for way in BY_KEY["base"].ways:
+    for way in ROWS["base"].ways:
         pairs.append(
-            (case("base", way, 1000, model="paper"), {"scores": dict.fromkeys(METRICS, 0.25)})
+            (case("base", way, 1000, model="paper"), {"scores": dict.fromkeys(SCORES, 0.25)})
         )
         pairs.append((case("base", way, 1001, model="paper"), "ValueError: no"))
     asked = {"conditions": ["base", "cycles-brdf"], "model": "paper", "quick": True}

@@ -15,8 +15,7 @@ from evaluation_tasks import recorded
 from pbrfit.model.geometry import angles_between
 from pbrfit.result.verdict import PARAMETERS, ROUGH_ERROR, USABLE_ERROR, deserved
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.everyday.measure import NOISE
-from pbrfit_evaluation.grid import Case
+from pbrfit_evaluation.grid import NOISE, Case
 from pbrfit_evaluation.suite import Results
 from pbrfit_evaluation.uncertainty import figures
 from pbrfit_evaluation.uncertainty.figures import (

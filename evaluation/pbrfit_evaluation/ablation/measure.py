@@ -17,7 +17,7 @@ from pbrfit.result.options import Priors, prior_names
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic.patterns import Pattern, checker, clouds, patches, stripes
 from pbrfit_evaluation.arrays import Array, Floats, known
-from pbrfit_evaluation.grid import Case, Grid, measured
+from pbrfit_evaluation.grid import NOISE, Case, Grid, measured
 from pbrfit_evaluation.recipes import PAPER_PRIORS, Way, lit_anew
 
 Ids = NDArray[np.integer[Any]]
@@ -33,9 +33,6 @@ TITLES = {
 
 VARIED_IN = ("constant", "varying", "merged")
 """Cases in which the weights of priors are varied: those that differ in segments and materials."""
-
-NOISE = 0.01
-"""Standard deviation in radiance."""
 
 SPREAD = (0.08, 0.12)
 """Standard deviation of the roughness inside a varying segment, before it is clipped to `RANGE`."""

@@ -14,7 +14,8 @@ from pbrfit_evaluation.everyday.measure import (
     covered,
     run,
 )
-from pbrfit_evaluation.grid.figures import MAPS, Bar, Metrics, Of, grid_rows, of_bars, sheets
+from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, grid_rows, of_bars, sheets
+from pbrfit_evaluation.scores import MAPS
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
 from pbrfit_evaluation.suite import Row, Section, Suite, Table, Verdict, digits
 
@@ -155,8 +156,6 @@ def sections(results: Of, of_rows: Sequence[Row]) -> Iterator[Section]:
 
 # ------------------------------------------------------------------------------------- the suite
 
-FIRST_SEED = 2000
-
 SUITE = Suite(
     name="everyday",
     title="Everyday pictures",
@@ -167,7 +166,7 @@ SUITE = Suite(
     verdicts=verdicts,
     sections=sections,
     options=GRID.options(
-        *(FIRST_SEED, "--disturbances"),
+        *(2000, "--disturbances"),
         scenes="in all; the kinds room, furnished and detailed take turns",
     ),
     effort=GRID.effort | {"scenes": (18, 2), "size": (64, 24)},

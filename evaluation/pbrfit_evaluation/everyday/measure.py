@@ -24,7 +24,7 @@ from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.arrays import Array, Floats, known
-from pbrfit_evaluation.grid import PICTURES, Case, Grid, measured
+from pbrfit_evaluation.grid import NOISE, PICTURES, Case, Grid, measured
 from pbrfit_evaluation.recipes import lit_anew
 from pbrfit_evaluation.review.pictures import codes
 
@@ -70,9 +70,6 @@ DISTURBANCES: Mapping[str, Disturbance] = {
     "fov-unknown": Disturbance("90° wide, unknown", "fov-true"),
     "fov-wrong": Disturbance("90° wide, 60° given", "fov-true"),
 }
-
-NOISE = 0.01
-"""Standard deviation in radiance: 1 % of a radiance of 1, 2.5 % of the mean."""
 
 UNCLIPPED = 0.995
 """Share of the samples below white in files of 8 bits: the brightest 0.5 % clip."""

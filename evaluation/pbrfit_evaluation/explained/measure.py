@@ -19,7 +19,7 @@ from pbrfit_evaluation.estimator_errors import ROUGH, estimated_depth
 from pbrfit_evaluation.grid import Case, Grid, measured
 from pbrfit_evaluation.recipes import GUESS, Way
 from pbrfit_evaluation.table1 import measure as table1
-from pbrfit_evaluation.table1.measure import BY_KEY as TABLE1
+from pbrfit_evaluation.table1.measure import ROWS as TABLE1
 
 Depth = Literal["none", "true", "network", "rough", "integrated"]
 """The true one; with the errors of a network, or of something worse; integrated from normals."""

@@ -63,8 +63,6 @@ def _pictures(results: Of) -> Iterator[Picture]:
 
 # ------------------------------------------------------------------------------------- the suite
 
-FIRST_SEED = 9700
-
 
 def cases(options: Options) -> list[Case]:
     """Every room in every way; by Cycles where it is there and wanted.
@@ -89,7 +87,7 @@ SUITE = Suite(
     rows=rows,
     sections=sections,
     options=(
-        *GRID.options(FIRST_SEED, "--ways", scenes="rooms"),
+        *GRID.options(9700, "--ways", scenes="rooms"),
         count("--pictures", "N", "a room, the photograph among them"),
     ),
     effort=GRID.effort | {"scenes": (4, 1), "size": (64, 64), "pictures": (13, 7)},

@@ -295,7 +295,7 @@ def run(case: Case, threads: int) -> Values:
         result, in_blender = way.explain(scene, threads=threads, uncertainty=False), {}
     honest = {i for i, kind in enumerate(kinds) if kind == "honest"}
     found |= {
-        "scores": score(result, scene, threads).as_json(),
+        "scores": score(result, scene, threads),
         "kept": len(kept),
         "honest_refused": len(honest - set(kept)),
         "damaged_kept": len(set(kept) - honest),

@@ -14,8 +14,6 @@ from pbrfit_evaluation.suite import Picture, Results, Row, Section, Verdict
 Of = Results[Case]
 Metrics = Mapping[str, float | None]
 
-MAPS = ("albedo", "roughness", "metallic")
-
 
 def by_seed(results: Of, condition: str, way: str, *path: str) -> dict[int, float]:
     """The number at a path of names of each scene."""

@@ -14,7 +14,6 @@ from pbrfit_evaluation.grid import Case
 from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, by_seed, grid_rows, of_bars
 from pbrfit_evaluation.normals.measure import (
     DISTURBANCES,
-    MAPS,
     PARTS,
     REFINE,
     TRUE,
@@ -25,6 +24,7 @@ from pbrfit_evaluation.normals.measure import (
 )
 from pbrfit_evaluation.options import count, first_seed, option, several
 from pbrfit_evaluation.plots import draw, dress, mark, panels, png
+from pbrfit_evaluation.scores import MAPS
 from pbrfit_evaluation.suite import Options, Picture, Row, Section, Suite, Table, Verdict
 
 MAPS_AND_RELIGHT = (*MAPS, "relight")
@@ -183,8 +183,6 @@ def _room_plot(results: Of) -> Picture:
 
 # ------------------------------------------------------------------------------------- the suite
 
-FIRST_SEED = 7000
-
 LARGEST = 45.0
 """Degrees of a disturbance, at most."""
 
@@ -222,7 +220,7 @@ SUITE = Suite(
         count("--scenes", "K", "rooms"),
         count("--size", "PIXELS", "of the rooms' pictures"),
         count("--iterations", "K", "of a fit"),
-        first_seed("room", FIRST_SEED),
+        first_seed("room", 7000),
     ),
     effort={
         "part": (PARTS, PARTS),

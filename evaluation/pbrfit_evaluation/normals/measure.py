@@ -33,8 +33,9 @@ from pbrfit.result.refinement import CHOICES
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.arrays import Array, Mask, filled
 from pbrfit_evaluation.estimator_errors import angle_errors, as_estimated, facing, smooth, turned
-from pbrfit_evaluation.grid import Case, Grid, measured
+from pbrfit_evaluation.grid import NOISE, Case, Grid, measured
 from pbrfit_evaluation.recipes import Way
+from pbrfit_evaluation.scores import MAPS
 from pbrfit_evaluation.suite import Options
 
 DISTURBANCES = ("correlated", "biased", "estimator")
@@ -114,13 +115,8 @@ REFINE: Mapping[str, Way] = {
 }
 """Fits of a scene: "off", with which the others are compared, "auto" and "on"."""
 
-NOISE = 0.01
-"""In radiance: 1 % of a radiance of 1, 2.5 % of the mean."""
-
 KINDS = ("furnished", "furnished", "furnished", "detailed")
 """One scene in four has textures on everything."""
-
-MAPS = ("albedo", "roughness", "metallic")
 
 MATERIAL, ANGLE = 1e-2, 0.3
 """Largest RMSE of a map, and largest mean angle in degrees, of a scene that came back."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import get_args
 
 from pbrfit.acquire.marigold import MATERIALS_MODEL
@@ -12,8 +12,7 @@ from pbrfit_evaluation.grid.figures import Of, grid_rows, sheets
 from pbrfit_evaluation.options import count, option
 from pbrfit_evaluation.peers import rgbx
 from pbrfit_evaluation.peers.measure import GRID, Task, work
-from pbrfit_evaluation.scores import PROTOCOL as SCORES
-from pbrfit_evaluation.scores import Scores
+from pbrfit_evaluation.scores import PROTOCOL, SCORES
 from pbrfit_evaluation.suite import Column, Options, Row, Section, Suite, Table
 
 SHOWN = ("albedo", "albedo_scaled", "roughness", "metallic", "relight", "relight_scaled")
@@ -22,7 +21,7 @@ SHOWN = ("albedo", "albedo_scaled", "roughness", "metallic", "relight", "relight
 
 def rows(results: Of) -> list[Row]:
     """A row for each method, with the reason where it cannot run."""
-    return grid_rows(GRID, results, [field.name for field in fields(Scores)])
+    return grid_rows(GRID, results, SCORES)
 
 
 def sections(results: Of, rows: Sequence[Row]) -> Iterator[Section]:
@@ -37,8 +36,6 @@ def sections(results: Of, rows: Sequence[Row]) -> Iterator[Section]:
 
 
 # ------------------------------------------------------------------------------------- the suite
-
-FIRST_SEED = 6000
 
 
 def cases(options: Options) -> list[Task]:
@@ -61,13 +58,13 @@ SUITE = Suite(
     title="Peers that see one picture",
     protocol="pbrfit-peers-2: synthetic rooms; peers see one picture, the most evenly lit, in "
     "8-bit sRGB with its 98th percentile at white, our fit all pictures, with noise of 0.01, and "
-    f"normals as an estimator gives them, with which all are relit; {SCORES.partition(': ')[2]}",
+    f"normals as an estimator gives them, with which all are relit; {PROTOCOL.partition(': ')[2]}",
     cases=cases,
     run=work,
     rows=rows,
     sections=sections,
     options=(
-        *GRID.options(FIRST_SEED, scenes="how many"),
+        *GRID.options(6000, scenes="how many"),
         count("--cycles-scenes", "K", "rendered by Blender Cycles, where it is set up"),
         count("--cycles-size", "PIXELS", "of their pictures"),
         option(

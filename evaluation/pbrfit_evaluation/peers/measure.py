@@ -18,11 +18,11 @@ from pbrfit.scene.scene import Scene
 from pbrfit_evaluation import cycles
 from pbrfit_evaluation.arrays import Floats
 from pbrfit_evaluation.estimator_errors import estimated_normals
-from pbrfit_evaluation.grid import Case, Grid, measured
+from pbrfit_evaluation.grid import NOISE, Case, Grid, measured
 from pbrfit_evaluation.recipes import GUESS, Way, within
 from pbrfit_evaluation.suite import Options
 from pbrfit_evaluation.table1 import measure as table1
-from pbrfit_evaluation.table1.measure import BY_KEY as ROWS
+from pbrfit_evaluation.table1.measure import ROWS
 
 PEERS = ("marigold", "rgbx")
 
@@ -33,9 +33,6 @@ WAYS: Mapping[str, Way] = {
     "marigold": Way("Marigold-IID, one picture"),
     "rgbx": Way("RGB-X, one picture"),
 }
-
-NOISE = 0.01
-"""Standard deviation, in radiance; the pictures' mean is 0.4."""
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.arrays import Array, known
 from pbrfit_evaluation.grid import Case, Grid, measured
 from pbrfit_evaluation.recipes import Way
+from pbrfit_evaluation.scores import MAPS
 from pbrfit_evaluation.suite import Options
 
 NOISE = {"noise-0.004": 0.004, "noise-0.01": 0.01}
@@ -27,8 +28,6 @@ the picture at the ground truth itself; as they are, none but that of float64 ar
 
 MATERIAL = 1e-6
 """RMSE of a map that counts as exact."""
-
-MAPS = ("albedo", "roughness", "metallic")
 
 
 def _truth(scene: Scene) -> tuple[Materials, Array]:

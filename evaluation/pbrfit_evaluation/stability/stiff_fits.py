@@ -26,6 +26,7 @@ from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.arrays import Array, Mask, known
 from pbrfit_evaluation.jobs import Values
 from pbrfit_evaluation.recipes import lit_anew
+from pbrfit_evaluation.scores import MAPS
 from pbrfit_evaluation.stability.double_precision import ROUNDING
 
 SEED = 300
@@ -141,8 +142,6 @@ FLOOR = 3e-7
 """Residuals below this share of the pictures' RMS are rounding of the float32 objective."""
 
 RESIDUAL = "residual / RMS"
-
-MAPS = ("albedo", "roughness", "metallic")
 
 
 def measure(_: Generator, threads: int, size: int, pictures: int, iterations: int) -> Values:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 from pbrfit._core import InputError
@@ -13,12 +13,10 @@ from pbrfit_evaluation.jobs import digest_of_files
 from pbrfit_evaluation.options import count, model_option, models, option
 from pbrfit_evaluation.plots import dots
 from pbrfit_evaluation.rooms.textures import load_textures
-from pbrfit_evaluation.scores import PROTOCOL, Scores
+from pbrfit_evaluation.scores import PROTOCOL, SCORES
 from pbrfit_evaluation.suite import Column, Options, Picture, Section, Suite, Table, Value, digits
 from pbrfit_evaluation.suite import Row as Figures
-from pbrfit_evaluation.table1.measure import BY_KEY, COLUMNS, GRID, WAYS, Case, run
-
-METRICS = tuple(f.name for f in fields(Scores))
+from pbrfit_evaluation.table1.measure import COLUMNS, GRID, ROWS, WAYS, Case, run
 
 EXACT = 1e-6
 """RMSE below which a map is as good as the rounding of its pictures lets it be."""
@@ -30,8 +28,8 @@ LEAST_SHOWN = 1e-3
 def rows(results: Of) -> list[Figures]:
     """A row for each setup, model and way, by setups."""
     asked = models(results.options)
-    of_model = [grid_rows(GRID, results.of(model=model), METRICS) for model in asked]
-    titles = {row.name: row for row in BY_KEY.values()}
+    of_model = [grid_rows(GRID, results.of(model=model), SCORES) for model in asked]
+    titles = {row.name: row for row in ROWS.values()}
     order = list(titles)
     return sorted(
         (
@@ -65,7 +63,7 @@ def sections(results: Of, rows: Sequence[Figures]) -> Iterator[Section]:
 def _in_short(rows: Sequence[Figures], model: Model) -> Table:
     """A line a setup; in a cell the error of each way, and the paper's number."""
     lines: list[list[Value]] = []
-    for setup in BY_KEY.values():
+    for setup in ROWS.values():
         of = {row.solver: row for row in rows if row.name == f"{setup.name}, {model}"}
         first = next((row for row in of.values() if row.scenes), None)
         if first is None:
@@ -113,7 +111,7 @@ def cases(options: Options) -> list[Case]:
         textures, digest = textures.resolve(), digest_of_files(textures)
     found = []
     for case in GRID.cases(options):
-        detailed = BY_KEY[case.condition].scene == "detailed"
+        detailed = ROWS[case.condition].scene == "detailed"
         inputs = {"textures": textures, "inputs": digest} if detailed else {}
         found.append(Case(**vars(case), **inputs))
     return sorted(found, key=lambda case: case.seed)

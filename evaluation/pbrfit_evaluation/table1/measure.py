@@ -50,9 +50,8 @@ NormalSource = Literal["true", "predicted"]
 class Row:
     """One setup."""
 
-    key: str
     name: str
-    """`key` and `name`: for files, and for people."""
+    """For people."""
     scene: Literal["furnished", "detailed"] = "furnished"
     """Kind of scene."""
     renderer: Renderer = "own"
@@ -88,60 +87,53 @@ def _paper(*errors: float) -> dict[str, float]:
     return dict(zip(COLUMNS, errors, strict=False))
 
 
-ROWS = (
-    Row("base", "Base", paper=_paper(0.001, 0.065, 0.232, 0.186, 0.166)),
-    Row("base-large", "Base, four times as wide and high", enlarged=4),
-    Row("sh2", "SH2 decomposition", sh_order=2, paper=_paper(0.002, 0.064, 0.242, 0.147, 0.154)),
-    Row(
-        "normals",
+ROWS: Mapping[str, Row] = {
+    "base": Row("Base", paper=_paper(0.001, 0.065, 0.232, 0.186, 0.166)),
+    "base-large": Row("Base, four times as wide and high", enlarged=4),
+    "sh2": Row("SH2 decomposition", sh_order=2, paper=_paper(0.002, 0.064, 0.242, 0.147, 0.154)),
+    "normals": Row(
         "Predicted normals",
         normals="predicted",
         paper=_paper(0.016, 0.160, 0.341, 0.446, 0.201),
     ),
-    Row(
-        "normals-refined",
+    "normals-refined": Row(
         "Predicted normals, refined",
         normals="predicted",
         refine_normals="auto",
         ways=REFINED,
     ),
-    Row("fov90", "FOV 90", fov=90.0, paper=_paper(0.004, 0.091, 0.283, 0.194, 0.143)),
-    Row("other-model", "Pictures of the other model", swapped=True),
-    Row("detailed", "Detailed scenes", scene="detailed"),
-    Row("cycles-brdf", "Cycles, panorama: BRDF alone", renderer="cycles", transport="brdf"),
-    Row("cycles-shadows", "Cycles, panorama: and shadows", renderer="cycles", transport="shadows"),
-    Row("cycles-panorama", "Cycles, panorama", renderer="cycles"),
-    Row(
-        "cycles-points-unshadowed",
+    "fov90": Row("FOV 90", fov=90.0, paper=_paper(0.004, 0.091, 0.283, 0.194, 0.143)),
+    "other-model": Row("Pictures of the other model", swapped=True),
+    "detailed": Row("Detailed scenes", scene="detailed"),
+    "cycles-brdf": Row("Cycles, panorama: BRDF alone", renderer="cycles", transport="brdf"),
+    "cycles-shadows": Row("Cycles, panorama: and shadows", renderer="cycles", transport="shadows"),
+    "cycles-panorama": Row("Cycles, panorama", renderer="cycles"),
+    "cycles-points-unshadowed": Row(
         "Cycles, point lights without shadows",
         renderer="cycles",
         light="points",
         transport="brdf",
     ),
-    Row(
-        "cycles-points",
+    "cycles-points": Row(
         "Cycles, point lights",
         renderer="cycles",
         light="points",
         transport="shadows",
         paper=_paper(0.040, 0.386, 0.408, 0.630),
     ),
-    Row(
-        "cycles-detailed",
+    "cycles-detailed": Row(
         "Detailed scenes, Cycles, panorama",
         scene="detailed",
         renderer="cycles",
         paper=_paper(0.043, 0.222, 0.334, 0.435, 0.210),
     ),
-    Row(
-        "regularized",
+    "regularized": Row(
         "Regularised",
         ways=REGULARIZED,
         paper=_paper(0.010, 0.066, 0.241, 0.248, 0.160),
     ),
-)
-
-BY_KEY = {row.key: row for row in ROWS}
+}
+"""By key."""
 
 
 TRUE_FOV = 60.0
@@ -149,22 +141,22 @@ TRUE_FOV = 60.0
 
 def why_not(options: Options, key: str, _: str) -> str:
     """Why a row cannot be run; empty if it can."""
-    if options.quick and BY_KEY[key].slow:
+    if options.quick and ROWS[key].slow:
         return "--quick leaves out what takes minutes"
-    return (cycles.why_not() or "") if BY_KEY[key].renderer == "cycles" else ""
+    return (cycles.why_not() or "") if ROWS[key].renderer == "cycles" else ""
 
 
 def sized(options: Options, key: str) -> tuple[int, int]:
     """Scenes of a row, and the side of their pictures."""
-    row = BY_KEY[key]
+    row = ROWS[key]
     scenes = min(options.scenes, options.slow_scenes) if row.slow else options.scenes
     return scenes, options.size * row.enlarged
 
 
 GRID = Grid(
-    {key: row.name for key, row in BY_KEY.items()},
+    {key: row.name for key, row in ROWS.items()},
     WAYS,
-    of_condition={key: row.ways for key, row in BY_KEY.items()},
+    of_condition={key: row.ways for key, row in ROWS.items()},
     pictured=("default",),
     why_not=why_not,
     sized=sized,
@@ -183,7 +175,7 @@ class Case(grid.Case):
 
 def run(case: Case, threads: int) -> dict[str, Any]:
     """Scores, and perhaps maps."""
-    row = BY_KEY[case.condition]
+    row = ROWS[case.condition]
     scene = as_given(room(case, threads), case)
     options: dict[str, Any] = {"sh_order": row.sh_order, "refine_normals": row.refine_normals}
     return measured(case, WAYS[case.way], scene, threads, **options)[1]
@@ -191,7 +183,7 @@ def run(case: Case, threads: int) -> dict[str, Any]:
 
 def room(case: Case, threads: int) -> Scene:
     """The scene of a case with all that is true of it but its depth: the paper has none."""
-    row = BY_KEY[case.condition]
+    row = ROWS[case.condition]
     if row.renderer == "cycles":
         return replace(cycles_scene(case, row, threads), depth=None)
     model = OTHER[known(case.model)] if row.swapped else case.model
@@ -234,7 +226,7 @@ def _textures(folder: Path | None) -> tuple[MaterialSet, ...] | None:
 
 def as_given(scene: Scene, case: Case) -> Scene:
     """What the decomposition is given, which may be wrong."""
-    row = BY_KEY[case.condition]
+    row = ROWS[case.condition]
     if row.normals == "predicted":
         scene = replace(scene, normals=estimated_normals(scene, case.seed))
     return scene if row.fov == scene.fov else replace(scene, fov=row.fov)

@@ -178,8 +178,6 @@ def _expected(results: Of) -> Picture:
 
 # ------------------------------------------------------------------------------------- the suite
 
-FIRST_SEED = 9300
-
 SUITE = Suite(
     name="uncertainty",
     title="Is the uncertainty right?",
@@ -191,7 +189,7 @@ SUITE = Suite(
     verdicts=verdicts,
     sections=sections,
     options=(
-        *GRID.options(FIRST_SEED, "--rows"),
+        *GRID.options(9300, "--rows"),
         option(
             "--model",
             choices=MODELS,

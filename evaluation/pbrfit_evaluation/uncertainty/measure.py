@@ -30,14 +30,8 @@ from pbrfit.transport.decision import Transport
 from pbrfit.transport.scenery import Scenery
 from pbrfit_evaluation.arrays import Array, known, unit
 from pbrfit_evaluation.everyday import measure as everyday
-from pbrfit_evaluation.everyday.measure import (
-    NOISE,
-    grey,
-    in_files,
-    jpeg,
-    write_png,
-)
-from pbrfit_evaluation.grid import Case, Grid, measured
+from pbrfit_evaluation.everyday.measure import grey, in_files, jpeg, write_png
+from pbrfit_evaluation.grid import NOISE, Case, Grid, measured
 from pbrfit_evaluation.jobs import Values
 from pbrfit_evaluation.normals.measure import MEAN_OF_THETA, disturbed
 from pbrfit_evaluation.recipes import OTHER, constant_guess
