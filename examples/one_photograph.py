@@ -62,7 +62,7 @@ def write_pictures(folder: Path, size: int) -> None:
     view = relights("furnished", "own", SEED, size=size, count=PICTURES + 1)
     rng = np.random.default_rng(SEED)
     (folder / "relit").mkdir()
-    for i, picture in enumerate(view.pictures):
+    for i, picture in enumerate(view.images):
         shown = picture
         if i in DAMAGES:
             shown, _ = damaged(picture, DAMAGES[i], view.segments, rng)

@@ -9,8 +9,6 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.model.materials import nearest_inside
-
 Array = NDArray[np.float64]
 Floats = NDArray[np.floating[Any]]
 Mask = NDArray[np.bool_]
@@ -31,7 +29,10 @@ def unit(vectors: Floats) -> Array:
 
 def filled(vectors: Floats, valid: Mask) -> Array:
     """Vectors (H, W, 3), outside the mask those of the nearest pixel inside."""
-    found: Array = np.asarray(vectors, dtype=np.float64)[nearest_inside(valid)]
+    from scipy.ndimage import distance_transform_edt
+
+    nearest = distance_transform_edt(~valid, return_distances=False, return_indices=True)
+    found: Array = np.asarray(vectors, dtype=np.float64)[tuple(nearest)]
     return found
 
 

@@ -34,7 +34,7 @@ from pbrfit.result.sheet import displayed
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import draw, make_scene
 from pbrfit_evaluation import cycles
-from pbrfit_evaluation.arrays import Array, Floats, filled
+from pbrfit_evaluation.arrays import Array, Floats, filled, known
 from pbrfit_evaluation.cycles.blender import rendered_export
 from pbrfit_evaluation.estimator_errors import estimated_depth, estimated_maps
 from pbrfit_evaluation.everyday.measure import read_back, write_png
@@ -78,16 +78,11 @@ OTHER_SEED = 100_000
 """Added to the seed of a room: that of another, for the picture of something else."""
 
 
-@dataclass(frozen=True, eq=False)
-class Room:
-    """A room with its truth, and its pictures, exposed: white = 1, brighter values there."""
+def room(seed: int, size: int, lights: int, *, by_cycles: bool) -> Scene:
+    """A textured room under soft lights, by Cycles with all light transport, or by our renderer.
 
-    scene: Scene
-    pictures: Array
-
-
-def room(seed: int, size: int, lights: int, *, by_cycles: bool) -> Room:
-    """A textured room under soft lights, by Cycles with all light transport, or by our renderer."""
+    Its pictures are exposed: white = 1, brighter values there.
+    """
     if by_cycles:
         scene = cycles.render_scene(
             draw(KIND, np.random.default_rng(seed)),
@@ -102,17 +97,16 @@ def room(seed: int, size: int, lights: int, *, by_cycles: bool) -> Room:
         scene = make_scene(KIND, size=size, lights=lights, held_out=HELD_OUT, seed=seed)
     rng = np.random.default_rng([seed, 4])
     pictures = np.stack([exposed(of.astype(np.float64), rng) for of in scene.images])
-    assert scene.truth is not None
-    truth = replace(scene.truth, lighting=None)  # of other exposures
-    return Room(replace(scene, images=pictures, truth=truth), pictures)
+    truth = replace(known(scene.truth), lighting=None)  # of other exposures
+    return replace(scene, images=pictures, truth=truth)
 
 
-def stand_ins(of: Room, level: Level, seed: int) -> tuple[Array, list[str]]:
+def stand_ins(of: Scene, level: Level, seed: int) -> tuple[Array, list[str]]:
     """Pictures (N, H, W, 3), linear, and in a word what was done to each beside its tones.
 
     Those of "exact" are floats; all others went through sRGB files of 8 bits.
     """
-    pictures = of.pictures.copy()
+    pictures = np.array(of.images, np.float64)
     if level == "exact":
         return pictures, ["honest"] * len(pictures)
     rank, count = LEVELS.index(level), len(pictures) - 1
@@ -129,9 +123,8 @@ def stand_ins(of: Room, level: Level, seed: int) -> tuple[Array, list[str]]:
         elif rank < LEVELS.index("repainted"):
             pass
         elif place < drifts + repaints:
-            assert of.scene.segments is not None
             kind = REPAINTS[(seed + place) % len(REPAINTS)]
-            pictures[i], kinds[i] = damaged(pictures[i], kind, of.scene.segments, rng)[0], "repaint"
+            pictures[i], kinds[i] = damaged(pictures[i], kind, of.segments, rng)[0], "repaint"
         elif place == drifts + repaints:
             other = make_scene(KIND, size=width, lights=2, held_out=1, seed=seed + OTHER_SEED)
             pictures[i], kinds[i] = exposed(other.images[0].astype(np.float64), rng), "another"
@@ -164,9 +157,9 @@ def toned(picture: Array, rng: Generator) -> Array:
 
 def segments_of(scene: Scene) -> NDArray[Any]:
     """Ids of objects, as a grey picture of 8 bits holds them."""
-    assert scene.segments is not None
-    found: NDArray[Any] = np.unique(scene.segments, return_inverse=True)[1]
-    return (found.reshape(scene.segments.shape) + 1).astype(np.uint8)
+    segments = known(scene.segments)
+    found: NDArray[Any] = np.unique(segments, return_inverse=True)[1]
+    return (found.reshape(segments.shape) + 1).astype(np.uint8)
 
 
 BARE: Mapping[str, Any] = {
@@ -277,7 +270,7 @@ def run(case: Case, threads: int) -> Values:
     pictures, kinds = stand_ins(truth, way.level, case.seed)
     found: dict[str, Any] = {}
     kept = list(range(len(pictures)))
-    scene, depth = replace(truth.scene, depth=None), truth.scene.depth
+    scene, depth = replace(truth, depth=None), truth.depth
     if way.path:
         result, names, in_blender = through_files(case, scene, pictures)
         kept = [int(name) for name in names]
@@ -287,8 +280,7 @@ def run(case: Case, threads: int) -> Values:
             kept = reviewed(pictures)
         if way.normals == "estimated":
             wrong = disturbed(scene, "estimator", NORMALS_OFF, case.seed)
-            assert depth is not None
-            scene = replace(scene, normals=wrong, depth=estimated_depth(depth, case.seed))
+            scene = replace(scene, normals=wrong, depth=estimated_depth(known(depth), case.seed))
         scene = given(scene, pictures[kept], as_files=way.level != "exact")
         if way.maps:
             scene = replace(scene, estimates=maps_of(scene, pictures[0], case.seed, way.maps))
@@ -343,9 +335,7 @@ def through_files(
     Normals and segments are files too. Returns the result, away from edges; names of its pictures;
     errors under the first held-out light in Blender and in pbrfit, and Blender's picture.
     """
-    assert scene.truth is not None
-    assert scene.truth.relight_images is not None
-    assert scene.truth.relight_lighting is not None
+    truth = known(scene.truth)
     with TemporaryDirectory() as parent:
         at = Path(parent)
         (at / "pictures").mkdir()
@@ -363,9 +353,9 @@ def through_files(
         report = read_json(at / "scene" / "review.json", "a review")
         accepted = [one["name"] for one in report["pictures"] if one["accepted"]]
         result = Result.load(at / "result")
-        light = scene.truth.relight_lighting[:1]
+        light = known(truth.relight_lighting)[:1]
         valid = scene.valid[..., None]
-        true = np.where(valid, scene.truth.relight_images[:1], np.nan)
+        true = np.where(valid, known(truth.relight_images)[:1], np.nan)
         ours = np.where(valid, relight(result, light, 1), np.nan)
         errors: dict[str, Any] = {"ours": scaled_error(ours, true), "blender": None}
         found: dict[str, Any] = {"errors": errors}

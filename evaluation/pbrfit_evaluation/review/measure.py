@@ -61,7 +61,7 @@ def work(task: Task, threads: int) -> Values:
         count=task.pictures + 1,
         threads=threads,
     )
-    pictures = [camera(picture) for picture in view.pictures]
+    pictures = [camera(picture) for picture in view.images]
     reviewer = Reviewer(pictures[0])
     found: list[dict[str, Any]] = []
 
@@ -90,7 +90,7 @@ def work(task: Task, threads: int) -> Values:
         done: dict[int, tuple[str, float]] = {}
         damages: list[Kind] = ["shift", "warp", *repaints]
         for i, kind in zip(chosen, damages, strict=False):
-            changed, amounts = damaged(view.pictures[i + 1], kind, view.segments, rng)
+            changed, amounts = damaged(view.images[i + 1], kind, view.segments, rng)
             members[i] = camera(changed)
             done[int(i)] = (kind, amounts.get("pixels", amounts.get("area", 0.0)))
         members[chosen[-1]] = _other_room(task, k)

@@ -6,7 +6,7 @@ Lengths are in pixels at a longer side of 512 and grow with the picture.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pbrfit.io.color import decode_srgb, encode_srgb
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import draw, make_scene
-from pbrfit_evaluation.arrays import Array, Floats, Mask
+from pbrfit_evaluation.arrays import Array, Floats, Mask, known
 
 Kind = Literal["shift", "warp", "recolour", "recolour-object", "clone", "fill", "texture"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
@@ -39,7 +39,7 @@ _TRIES = 200
 
 
 def damaged(
-    image: Array, kind: Kind, segments: NDArray[Any], rng: np.random.Generator
+    image: Floats, kind: Kind, segments: NDArray[Any] | None, rng: np.random.Generator
 ) -> tuple[Array, dict[str, float]]:
     """A picture (H, W, 3), linear with white = 1, damaged in a way.
 
@@ -57,7 +57,7 @@ def damaged(
         field = bent(image.shape[:2], width, unit * length, rng)
         return moved(image, *field), {"pixels": length, "width": width}
     for _ in range(_TRIES):
-        area = _area(kind, segments, rng)
+        area = _area(kind, known(segments), rng)
         found = _repainted(image, area, kind, rng)
         change = np.abs(_shown(found) - _shown(image)).mean(axis=-1)
         seen = np.count_nonzero(change[area] > CHANGED) >= AREA[0] * area.size
@@ -66,7 +66,7 @@ def damaged(
     raise ValueError(f"{kind}: expected a place where a repaint can be seen, found none")
 
 
-def _shown(image: Array) -> Array:
+def _shown(image: Floats) -> Array:
     return encode_srgb(np.clip(image, 0, 1))
 
 
@@ -78,7 +78,7 @@ def bent(shape: tuple[int, ...], width: float, most: float, rng: np.random.Gener
     return np.asarray(field * (most / np.hypot(*field).max()))
 
 
-def moved(image: Array, down: Array, right: Array) -> Array:
+def moved(image: Floats, down: Array, right: Array) -> Array:
     """Move a picture (H, W, 3) by fields of pixels (H, W); cubic, its edge repeated."""
     from scipy.ndimage import map_coordinates
 
@@ -108,12 +108,12 @@ def _area(kind: Kind, segments: NDArray[Any], rng: np.random.Generator) -> Mask:
     return np.asarray(outline < np.quantile(outline, share))
 
 
-def _repainted(image: Array, area: Mask, kind: Kind, rng: np.random.Generator) -> Array:
+def _repainted(image: Floats, area: Mask, kind: Kind, rng: np.random.Generator) -> Array:
     from scipy.ndimage import gaussian_filter
 
     unit = max(image.shape[:2]) / 512
 
-    def smooth(plane: Array, width: float) -> Array:
+    def smooth(plane: Floats, width: float) -> Array:
         return np.asarray(gaussian_filter(plane, unit * width))
 
     if kind in ("recolour", "recolour-object"):
@@ -152,16 +152,6 @@ PANORAMA_SAMPLES = 64
 """Light paths a pixel; the noise, 3 to 6 %, stays in the pictures."""
 
 
-@dataclass(frozen=True, eq=False)
-class View:
-    """One view under many lights."""
-
-    pictures: Array
-    """(N, H, W, 3) linear, exposed: white = 1, brighter values there."""
-    segments: NDArray[np.integer[Any]]
-    """(H, W) ids of objects."""
-
-
 def relights(
     kind: str,
     renderer: Renderer,
@@ -170,8 +160,8 @@ def relights(
     size: int,
     count: int,
     threads: int = 1,
-) -> View:
-    """Render `count` pictures of a scene.
+) -> Scene:
+    """A scene with `count` pictures, linear, exposed: white = 1, brighter values there.
 
     By Cycles every picture has one to three lamps without size, which cast hard shadows, and no two
     pictures have the same first one. Light adds up, so a sum of renders is a render.
@@ -182,8 +172,7 @@ def relights(
         linear = scene.images
     else:
         linear, scene = _by_cycles(kind, renderer, seed, rng, size, count, threads)
-    assert scene.segments is not None
-    return View(np.stack([exposed(picture, rng) for picture in linear]), scene.segments)
+    return replace(scene, images=np.stack([exposed(picture, rng) for picture in linear]))
 
 
 def codes(linear: Floats) -> NDArray[np.uint8]:
@@ -191,7 +180,7 @@ def codes(linear: Floats) -> NDArray[np.uint8]:
     return np.round(255 * encode_srgb(np.clip(linear, 0, 1))).astype(np.uint8)
 
 
-def camera(linear: Array) -> Array:
+def camera(linear: Floats) -> Array:
     """What an 8-bit sRGB file keeps of a picture, decoded again."""
     return decode_srgb(codes(linear) / 255)
 
