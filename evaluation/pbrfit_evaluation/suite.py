@@ -12,8 +12,8 @@ How to add a suite `speed`:
 4. `rows(results)` makes the rows of summary.json from what was finished, which may be nothing.
 5. `verdicts(results, rows)` says what the figures must be; `sections(results, rows)` is what the
    page shows beside them: tables as data, and PNGs of plots (`plots`) and maps.
-6. Sizes and counts stand in `effort`: name -> (full, with `--quick`); an option of the same name
-   takes precedence. Files named `figures.py` do not count as code that records depend on.
+6. Sizes and counts are `settings`, each with its option (`options`). Files named `figures.py` do
+   not count as code that records depend on.
 
 Suites of scenes whose truth is known are scenes × conditions × ways: `grid` has their cases, rows,
 bars and sheets.
@@ -35,9 +35,10 @@ import numpy as np
 from pbrfit.report.html import Cell
 from pbrfit.report.notation import scientific
 from pbrfit_evaluation.jobs import Record, Task, Values
+from pbrfit_evaluation.options import Setting
 
 Options = argparse.Namespace
-"""As given on the command line, with `effort` filled in; `options.effort` is "full" or "quick"."""
+"""As given on the command line, settled: `options.effort` is "full" or "quick"."""
 
 
 C = TypeVar("C", bound=Task)
@@ -378,13 +379,10 @@ class Suite(Generic[C]):
     """`cases`, `run`, `rows`, `verdicts` and `sections`: see the top of this file."""
     files: Callable[[Results[C]], Mapping[str, bytes]] = lambda _: {}
     """Other files than CSV ones, by name."""
-    options: Sequence[Callable[[argparse.ArgumentParser], object]] = ()
-    """Functions that add an option to the parser: those of `options`, or such as
-    `pbrfit.commands.arguments.add_threads`. With the latter, `run` gets as many threads as are
-    asked for."""
-    effort: Mapping[str, tuple[Any, Any]] = field(default_factory=dict)
-    """Sizes and counts: name -> (full, with `--quick`). An option of the name that is None is set
-    from here, and its help tells both."""
+    settings: Mapping[str, Setting] = field(default_factory=dict)
+    """By the names that options have in `cases`."""
+    folders: str = ""
+    """What the folders of pictures are that the command takes; empty = it takes none."""
     about: Sequence[str] = ()
     """Paragraphs at the top of the page, that a reader needs to read the figures; the first, on
     what is measured, is in the help, too."""
@@ -392,6 +390,13 @@ class Suite(Generic[C]):
     """Default of `--jobs`; None = one for each processor."""
     timed: bool = False
     """Whether figures are times on this machine, so that no cluster can be used."""
+
+    def settle(self, options: Options) -> None:
+        """Give options what nobody asked for."""
+        options.effort = "quick" if options.quick else "full"
+        for name, setting in self.settings.items():
+            if getattr(options, name, None) is None:
+                setattr(options, name, getattr(setting, options.effort))
 
     def protocol_of(self, options: Options) -> str:
         """The protocol with the options' values in it."""

@@ -20,7 +20,7 @@ import pytest
 import scene_files
 from evaluation_tasks import Task, work
 from page_reader import Page
-from pbrfit.commands.arguments import add_threads
+from pbrfit.commands.arguments import value
 from pbrfit_evaluation import commands, options, report
 from pbrfit_evaluation.suite import (
     Options,
@@ -56,24 +56,26 @@ SUITE = Suite(
     run=work,
     rows=rows,
     verdicts=verdicts,
-    options=(
-        options.count("--scenes", "K", "how many"),
-        options.option("--acts", nargs="+"),
-        options.option("--data", type=Path, default=Path("x")),
-        add_threads,
-    ),
-    effort={"scenes": (3, 1), "hidden": ((1, 2), (1,))},
+    settings={
+        "scenes": options.count("K", "how many", 3, 1),
+        "acts": options.fixed(None, value("ACT", str, "what each does", nargs="+")),
+        "data": options.fixed(None, value("DIR", Path, "of traces")),
+        "threads": options.threads,
+        "hidden": options.Setting((1, 2), (1,)),
+    },
+    folders="pictures",
     about=("It measures nothing.",),
 )
 
 OPTIONS = argparse.Namespace(
     scenes=2,
-    size=64,
+    acts=None,
+    data=None,
+    threads=0,
+    hidden=(1, 2),
     effort="full",
     quick=False,
-    spelled={"scenes": "--scenes", "size": "--size", "folders": ""},
     folders=[Path("somewhere/pictures")],
-    defaults={"scenes": 2, "size": 64, "folders": []},
 )
 
 
@@ -205,10 +207,7 @@ def test_cases_have_names_of_their_own_and_the_seeds_that_are_reported(
     commands._complete(name, parser)
     suite = import_module(f"pbrfit_evaluation.{name}.figures").SUITE
     asked = parser.parse_args(["--out", "x", *["--quick"] * quick])
-    asked.effort = "quick" if quick else "full"
-    for option, of_effort in suite.effort.items():
-        if getattr(asked, option, None) is None:
-            setattr(asked, option, of_effort[quick])
+    suite.settle(asked)
     cases = suite.cases(asked)
     assert len({case.key for case in cases}) == len(cases)
     assert min(case.seed for case in cases) == FIRST_SEEDS[name]
@@ -250,7 +249,7 @@ def test_a_summary_says_how_to_make_it_again_and_holds_the_tables(tmp_path: Path
     sections = [Section("A & B", tables=[Table(["n"], [[1.0]]), Table(["m"], [[0.25]])])]
     report.write(tmp_path, SUITE, OPTIONS, report.Outcome([], [], sections, {}, []))
     summary = json.loads((tmp_path / "summary.json").read_text("utf-8"))
-    assert summary["command"] == "pbrfit evaluate nothing --scenes 2 pictures"
+    assert summary["command"] == "pbrfit evaluate nothing pictures --scenes 2"
     assert summary["date"] == f"{datetime.now(UTC):%Y-%m-%d}"
     assert [table["title"] for table in summary["tables"]] == ["A & B", "A & B 2"]
     assert summary["tables"][1]["markdown"] == "| m |\n| ---: |\n| 0.250 |\n"

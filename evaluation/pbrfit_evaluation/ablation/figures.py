@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from pbrfit.commands.fit_options import MODEL_OF_PICTURES, add_option
-from pbrfit.model.reflection import DEFAULT_MODEL
+from pbrfit.commands.arguments import choice
+from pbrfit.commands.fit_options import MODEL_OF_PICTURES
+from pbrfit.model.reflection import DEFAULT_MODEL, MODELS
 from pbrfit_evaluation.ablation.measure import FEW, GRID, WAYS, run
 from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, grid_rows, of_bars, pictures, ratios
-from pbrfit_evaluation.options import count
+from pbrfit_evaluation.options import count, fixed
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
 from pbrfit_evaluation.suite import Row, Section, Suite, Table, Value, Verdict
 
@@ -117,12 +118,11 @@ SUITE = Suite(
     rows=rows,
     verdicts=verdicts,
     sections=sections,
-    options=(
-        lambda parser: add_option(parser, "model", MODEL_OF_PICTURES, DEFAULT_MODEL),
-        *GRID.options(FIRST_SEED, scenes="rooms of each case"),
-        count("--iterations", "N", "of each fit"),
-    ),
-    effort=GRID.effort | {"scenes": (5, 1), "size": (64, 32), "iterations": (500, 60)},
+    settings={
+        "model": fixed(DEFAULT_MODEL, choice(MODELS, MODEL_OF_PICTURES)),
+        **GRID.settings(FIRST_SEED, count("K", "rooms of each case", 5, 1), (64, 32)),
+        "iterations": count("N", "of each fit", 500, 60),
+    },
     about=(
         "What each prior does to the errors of materials and relighting, in rooms whose ground "
         "truth is known: with right, wrong and missing segments, and materials that keep to them "

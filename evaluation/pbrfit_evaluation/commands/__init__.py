@@ -19,12 +19,15 @@ from pbrfit.commands.arguments import (
     UNUSABLE,
     Subcommands,
     add_cluster,
+    add_flags,
     add_jobs,
     add_out,
     add_quiet,
     complain,
     progress_bar,
+    switch,
     unread_is_no_failure,
+    value,
 )
 
 if TYPE_CHECKING:
@@ -66,11 +69,8 @@ def _complete(name: str, parser: argparse.ArgumentParser) -> None:
         "summary.json. Exit code 1 if something does not hold."
     )
     add_out(parser, "folder to write")
-    parser.add_argument(
-        "--resume",
-        action="store_true",
-        help="go on with an earlier run: what it finished with the same options and code is kept",
-    )
+    resume = "go on with an earlier run: what it finished with the same options and code is kept"
+    add_flags(parser, resume=switch(resume))
     default = suite.jobs or os.cpu_count() or 1
     on_cluster = "" if suite.timed else "; on a cluster one for each worker"
     add_jobs(
@@ -82,27 +82,19 @@ def _complete(name: str, parser: argparse.ArgumentParser) -> None:
     else:
         add_cluster(parser)
     add_quiet(parser)
-    for add in suite.options:
-        add(parser)
-    few = "few and small scenes, what takes minutes left out"
-    parser.add_argument("--quick", action="store_true", help=few)
-    parser.add_argument(
-        "--docs",
-        metavar="DIR",
-        type=Path,
-        help="documentation of a checkout: bring its tables and plots of this suite up to date",
+    if suite.folders:
+        said = f"{suite.folders} (default: the folder that the variable PBRFIT_DATA names)"
+        parser.add_argument("folders", metavar="FOLDER", nargs="*", type=Path, help=said)
+    for name, setting in suite.settings.items():
+        if setting.flag is not None:
+            add_flags(parser, **{setting.name or name: {**setting.flag, "dest": name}})
+    docs = "documentation of a checkout: bring its tables and plots of this suite up to date"
+    add_flags(
+        parser,
+        quick=switch("few and small scenes, what takes minutes left out"),
+        docs=value("DIR", Path, docs),
     )
-    for action in parser._actions:
-        full, quick = suite.effort.get(action.dest, (None, None))
-        if isinstance(full, (int, float)) and action.default is None and action.help:
-            less = f", with --quick {quick}" if quick != full else ""
-            action.help += f" (default: {full}{less})"
-    told = [action for action in parser._actions if action.dest != "help"]
-    parser.set_defaults(
-        command=partial(run, suite),
-        spelled={one.dest: max(one.option_strings, key=len, default="") for one in told},
-        defaults={one.dest: one.default for one in told},
-    )
+    parser.set_defaults(command=partial(run, suite))
 
 
 def _refused(_: str) -> NoReturn:
@@ -118,10 +110,7 @@ def run(suite: Suite[Any], options: argparse.Namespace) -> int:
     from pbrfit_evaluation.report import evidence
     from pbrfit_evaluation.suite import Results
 
-    options.effort = "quick" if options.quick else "full"
-    for name, of_effort in suite.effort.items():
-        if getattr(options, name, None) is None:
-            setattr(options, name, of_effort[options.quick])
+    suite.settle(options)
     cases = list(suite.cases(options))
     if options.jobs is None and options.cluster is None:
         options.jobs = suite.jobs or os.cpu_count() or 1

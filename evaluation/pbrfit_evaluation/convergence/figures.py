@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pbrfit._core import InputError
-from pbrfit.commands.fit_options import MODEL_OF_PICTURES, add_option
+from pbrfit.commands.arguments import choice, value
+from pbrfit.commands.fit_options import MODEL_OF_PICTURES
+from pbrfit.model.reflection import MODELS
 from pbrfit_evaluation.convergence.measure import (
     CASES,
     QUANTITIES,
@@ -28,7 +30,7 @@ from pbrfit_evaluation.convergence.measure import (
 from pbrfit_evaluation.convergence.solvers import BY_NAME, Task, asked
 from pbrfit_evaluation.heldout.sources import find_sources
 from pbrfit_evaluation.jobs import Values, digest_of_files
-from pbrfit_evaluation.options import count, option, several
+from pbrfit_evaluation.options import Setting, count, fixed, several
 from pbrfit_evaluation.plots import draw, dress, mark, panels, png
 from pbrfit_evaluation.suite import (
     Column,
@@ -296,25 +298,20 @@ SUITE = Suite(
     rows=rows,
     verdicts=verdicts,
     sections=sections,
-    options=(
-        lambda parser: add_option(parser, "model", MODEL_OF_PICTURES, "paper"),
-        count("--seeds", "K", "scenes of a case"),
-        several("--cases", "NAME", CASES, default="all but the last two"),
-        several("--solvers", "NAME", BY_NAME),
-        option(
-            "--real",
-            metavar="DIR",
-            type=Path,
-            help="pictures of one view, whose truth nobody knows: a case for each size",
+    settings={
+        "model": fixed("paper", choice(MODELS, MODEL_OF_PICTURES)),
+        "seeds": count("K", "scenes of a case", 2, 1),
+        "cases": several("NAME", CASES, tuple(CASES)[-2:], default=tuple(CASES)[:-2]),
+        "solvers": several("NAME", BY_NAME),
+        "real": fixed(
+            None,
+            value(
+                "DIR", Path, "pictures of one view, whose truth nobody knows: a case for each size"
+            ),
         ),
-        count("--seconds", "S", "after which a run is cut off"),
-    ),
-    effort={
-        "cases": (tuple(CASES)[:-2], tuple(CASES)[-2:]),
-        "seeds": (2, 1),
-        "iterations": (500, 200),
-        "evaluations": (2000, 200),
-        "seconds": (100, 20),
+        "seconds": count("S", "after which a run is cut off", 100, 20),
+        "iterations": Setting(500, 200),
+        "evaluations": Setting(2000, 200),
     },
     about=(
         "Errors of reconstruction, maps and relit pictures while a solver runs, for every solver "

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from pbrfit.commands.arguments import positive
+from pbrfit.commands.arguments import positive, switch, value
 from pbrfit_evaluation.heldout.figures import error_of
 from pbrfit_evaluation.heldout.measure import LARGEST_SHOWN, Task, Way, run
 from pbrfit_evaluation.heldout.sources import asked_sources
-from pbrfit_evaluation.options import count, folders, option, several
+from pbrfit_evaluation.options import Setting, count, fixed, several
 from pbrfit_evaluation.panels import in_lines, unpacked
 from pbrfit_evaluation.suite import (
     Options,
@@ -230,32 +230,26 @@ SUITE = Suite(
     verdicts=verdicts,
     sections=sections,
     files=files,
-    options=(
-        folders(
-            "object, or folder of such, as DiLiGenT, DiLiGenT10², LUCES and Harvard publish them, "
-            "or scene folders with set.json and normals.npz (default: the folder that the "
-            "environment variable PBRFIT_DATA names)"
+    folders="object, or folder of such, as DiLiGenT, DiLiGenT10², LUCES and Harvard publish them, "
+    "or scene folders with set.json and normals.npz",
+    settings={
+        "ways": several("NAME", WAYS),
+        "pictures": Setting(
+            PICTURES,
+            PICTURES[1:2],
+            value(
+                "N",
+                positive,
+                "numbers of pictures that are fitted, as far as an object has so many (default: "
+                f"{' '.join(map(str, PICTURES))}, with --quick {PICTURES[1]})",
+                nargs="+",
+            ),
         ),
-        several("--ways", "NAME", WAYS),
-        option(
-            "--pictures",
-            metavar="N",
-            nargs="+",
-            type=positive,
-            help="numbers of pictures that are fitted, as far as an object has so many (default: "
-            f"{' '.join(map(str, PICTURES))}, with --quick {PICTURES[1]})",
+        "max_size": count("PIXELS", "average larger pictures down to this longer side", 1024, 64),
+        "mat": fixed(
+            False,
+            switch("write the normals of the most pictures as NAME-WAY.mat, (H, W, 3) Normal_est"),
         ),
-        count("--max-size", "PIXELS", "average larger pictures down to this longer side"),
-        option(
-            "--mat",
-            action="store_true",
-            help="write the normals of the most pictures as NAME-WAY.mat, (H, W, 3) Normal_est",
-        ),
-    ),
-    effort={
-        "ways": (WAYS, WAYS),
-        "pictures": (PICTURES, PICTURES[1:2]),
-        "max_size": (1024, 64),
     },
     about=(
         "Mean angles between the normals of a fit and measured ones, of objects under far lamps, "

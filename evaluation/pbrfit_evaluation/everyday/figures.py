@@ -15,6 +15,7 @@ from pbrfit_evaluation.everyday.measure import (
     run,
 )
 from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, grid_rows, of_bars, sheets
+from pbrfit_evaluation.options import count
 from pbrfit_evaluation.scores import MAPS
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
 from pbrfit_evaluation.suite import Row, Section, Suite, Table, Verdict, digits
@@ -165,11 +166,11 @@ SUITE = Suite(
     rows=rows,
     verdicts=verdicts,
     sections=sections,
-    options=GRID.options(
-        *(2000, "--disturbances"),
-        scenes="in all; the kinds room, furnished and detailed take turns",
+    settings=GRID.settings(
+        2000,
+        count("K", "in all; the kinds room, furnished and detailed take turns", 18, 2),
+        *((64, 24), "disturbances"),
     ),
-    effort=GRID.effort | {"scenes": (18, 2), "size": (64, 24)},
     about=(
         "Fits of scenes whose ground truth is known after what cameras and files do to pictures: "
         "8 bits, JPEG, clipping, hot samples, a bad picture, tone curves, vignetting, an unknown "

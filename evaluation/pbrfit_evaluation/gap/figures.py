@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from pbrfit.commands.arguments import whole_number
+from pbrfit.commands.arguments import value, whole_number
 from pbrfit_evaluation.arrays import Array
 from pbrfit_evaluation.gap.measure import COMPARED, MATERIALS, Case, run
-from pbrfit_evaluation.options import option
+from pbrfit_evaluation.options import Setting, fixed
 from pbrfit_evaluation.plots import CELL, draw, dress, heat_map, panels, png
 from pbrfit_evaluation.suite import Options, Picture, Results, Row, Section, Suite, Table, Value
 
@@ -120,12 +120,12 @@ SUITE = Suite(
     run=run,
     rows=rows,
     sections=sections,
-    options=(option("--seed", type=whole_number, default=0, help="of the random lights"),),
-    effort={
-        "r": ((0.05, *TENTHS), (0.1, 0.3, 0.5, 0.8, 1.0)),
-        "n_dot_v": ((0.05, *TENTHS), (0.1, 0.2, 0.5, 0.8, 1.0)),
-        "rings": (20, 10),
-        "lights": (64, 16),
+    settings={
+        "seed": fixed(0, value("SEED", whole_number, "of the random lights")),
+        "r": Setting((0.05, *TENTHS), (0.1, 0.3, 0.5, 0.8, 1.0)),
+        "n_dot_v": Setting((0.05, *TENTHS), (0.1, 0.2, 0.5, 0.8, 1.0)),
+        "rings": Setting(20, 10),
+        "lights": Setting(64, 16),
     },
     about=(
         "The models that pbrfit fits beside brute-force integration of BRDFs, over roughness, "

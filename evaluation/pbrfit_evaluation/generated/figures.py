@@ -86,11 +86,10 @@ SUITE = Suite(
     run=run,
     rows=rows,
     sections=sections,
-    options=(
-        *GRID.options(9700, "--ways", scenes="rooms"),
-        count("--pictures", "N", "a room, the photograph among them"),
-    ),
-    effort=GRID.effort | {"scenes": (4, 1), "size": (64, 64), "pictures": (13, 7)},
+    settings={
+        **GRID.settings(9700, count("K", "rooms", 4, 1), (64, 64), "ways"),
+        "pictures": count("N", "a room, the photograph among them", 13, 7),
+    },
     about=(
         "Textured rooms under soft lights, by Cycles with all light transport, stand for a "
         "photograph and for pictures that a generator made of it: tone curves, drift, repainting, "

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any
 
 from pbrfit._core import InputError
@@ -17,7 +17,7 @@ from pbrfit.model.reflection import Model
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
-from pbrfit_evaluation.options import Add, count, first_seed, models, several
+from pbrfit_evaluation.options import Setting, count, first_seed, models, several
 from pbrfit_evaluation.panels import of_result, packed
 from pbrfit_evaluation.recipes import Way
 from pbrfit_evaluation.scores import score
@@ -131,36 +131,28 @@ class Grid:
         """What tables call each way, by key."""
         return {key: way.words for key, way in self.ways.items()}
 
-    @property
-    def effort(self) -> dict[str, tuple[Any, Any]]:
-        """Of a suite: all conditions and ways, with `--quick` a few where there are such."""
-        conditions, ways = tuple(self.conditions), tuple(self.ways)
-        return {
-            "conditions": (conditions, self.few or conditions),
-            "ways": (ways, self.few_ways or ways),
-        }
-
-    def options(
+    def settings(
         self,
-        seed: int | None,
-        flag: str = "--conditions",
+        seed: int,
+        scenes: Setting,
+        size: tuple[int, int],
+        conditions: str = "",
         *,
-        default: str = "all",
-        ways: str = "--ways",
-        scenes: str = "of a condition",
-    ) -> tuple[Add, ...]:
-        """Options that such suites share; nothing was tuned on seeds from `seed` on."""
-        names = self.conditions
-        shared = [several(flag, "NAME", names, self.few, default=default, dest="conditions")]
-        if len(self.ways) > 1:
-            what = "only these ways to explain a scene"
-            shared.append(several(ways, "NAME", self.ways, self.few_ways, what=what, dest="ways"))
-        return (
-            *shared,
-            count("--scenes", "K", scenes),
-            count("--size", "PIXELS", "of the pictures"),
-            first_seed("scene", seed),
-        )
+        ways: str = "",
+    ) -> dict[str, Setting]:
+        """Settings that such suites share; nothing was tuned on seeds from `seed` on.
+
+        `conditions` and `ways` are the names of these options, where they are others.
+        """
+        what = "only these ways to explain a scene"
+        of_ways = several("NAME", self.ways, self.few_ways, what=what, name=ways)
+        return {
+            "conditions": several("NAME", self.conditions, self.few, name=conditions),
+            "ways": of_ways if len(self.ways) > 1 else replace(of_ways, flag=None),
+            "scenes": scenes,
+            "size": count("PIXELS", "of the pictures", *size),
+            "first_seed": first_seed("scene", seed),
+        }
 
 
 def measured(

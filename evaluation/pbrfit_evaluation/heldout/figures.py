@@ -13,7 +13,7 @@ from pbrfit.report.html import Cell
 from pbrfit_evaluation.heldout.light import Score, relative_error
 from pbrfit_evaluation.heldout.measure import IN_WORDS, OURS, WAYS, Task, Way, run
 from pbrfit_evaluation.heldout.sources import Source, asked_sources
-from pbrfit_evaluation.options import count, folders, several
+from pbrfit_evaluation.options import count, several
 from pbrfit_evaluation.suite import (
     Options,
     Results,
@@ -192,9 +192,6 @@ def _by_way(of_sets: Sequence[OfSet]) -> Table:
 
 # ------------------------------------------------------------------------------------- the suite
 
-FEW: tuple[Way, ...] = ("default", "lambert", "nearest")
-"""Ways of a quick look."""
-
 
 def cases(options: Options) -> list[Task]:
     """All folds of all sources, in every way.
@@ -225,22 +222,13 @@ SUITE = Suite(
     rows=rows,
     verdicts=verdicts,
     sections=sections,
-    options=(
-        folders(
-            "scene folder, a public set as published, or a folder of such (default: the folder "
-            "that the environment variable PBRFIT_DATA names)"
-        ),
-        several("--ways", "NAME", WAYS, FEW),
-        count("--held-out", "K", "pictures that are held out at a time", default=1),
-        count("--folds", "F", "so many times, spread evenly over the pictures"),
-        count("--pictures", "N", "of a set that are used at most, evenly chosen"),
-        count("--max-size", "PIXELS", "average larger pictures down to this longer side"),
-    ),
-    effort={
-        "ways": (WAYS, FEW),
-        "folds": (4, 1),
-        "pictures": (32, 6),
-        "max_size": (192, 32),
+    folders="scene folder, a public set as published, or a folder of such",
+    settings={
+        "ways": several("NAME", WAYS, ("default", "lambert", "nearest")),
+        "held_out": count("K", "pictures that are held out at a time", 1),
+        "folds": count("F", "so many times, spread evenly over the pictures", 4, 1),
+        "pictures": count("N", "of a set that are used at most, evenly chosen", 32, 6),
+        "max_size": count("PIXELS", "average larger pictures down to this longer side", 192, 32),
     },
     about=(
         "Materials are fitted to the kept pictures of each set, then only the light of each "

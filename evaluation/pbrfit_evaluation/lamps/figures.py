@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from pbrfit_evaluation.explained.measure import LAMPS, run
 from pbrfit_evaluation.grid.figures import Metrics, Of, grid_rows, sheets
-from pbrfit_evaluation.options import count
+from pbrfit_evaluation.options import count, several
 from pbrfit_evaluation.scores import MAPS
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
 from pbrfit_evaluation.suite import Column, Row, Section, Suite, Table
@@ -41,9 +41,6 @@ def sections(results: Of, found: Sequence[Row]) -> Iterator[Section]:
     yield from sheets("Maps", results, LAMPS.words, caption)
 
 
-DEFAULT = ("points-shadows",)
-"""Setups unless `--setups` says otherwise."""
-
 SUITE = Suite(
     name="lamps",
     title="Rooms under lamps",
@@ -53,13 +50,13 @@ SUITE = Suite(
     run=run,
     rows=rows,
     sections=sections,
-    options=(
-        *LAMPS.options(
-            *(8200, "--setups"), default=DEFAULT[0], ways="--variants", scenes="rooms of a setup"
+    settings={
+        **LAMPS.settings(
+            8200, count("K", "rooms of a setup", 10, 2), (64, 24), "setups", ways="variants"
         ),
-        count("--lights", "N", "pictures a room", default=16),
-    ),
-    effort=LAMPS.effort | {"conditions": (DEFAULT, DEFAULT), "scenes": (10, 2), "size": (64, 24)},
+        "conditions": several("NAME", LAMPS.conditions, default=["points-shadows"], name="setups"),
+        "lights": count("N", "pictures a room", 16),
+    },
     about=(
         "Rooms with furniture, each picture lit by one lamp without size and of its own colour, "
         "somewhere in the upper half of the room or near the camera; rendered by Blender Cycles "

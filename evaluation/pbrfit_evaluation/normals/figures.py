@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from pbrfit._core import InputError
-from pbrfit.commands.arguments import add_threads
+from pbrfit.commands.arguments import value
 from pbrfit_evaluation.grid import Case
 from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, by_seed, grid_rows, of_bars
 from pbrfit_evaluation.normals.measure import (
@@ -22,7 +22,7 @@ from pbrfit_evaluation.normals.measure import (
     run,
     turn_of,
 )
-from pbrfit_evaluation.options import count, first_seed, option, several
+from pbrfit_evaluation.options import Setting, count, first_seed, several, threads
 from pbrfit_evaluation.plots import draw, dress, mark, panels, png
 from pbrfit_evaluation.scores import MAPS
 from pbrfit_evaluation.suite import Options, Picture, Row, Section, Suite, Table, Verdict
@@ -205,30 +205,25 @@ SUITE = Suite(
     rows=rows,
     verdicts=verdicts,
     sections=sections,
-    options=(
-        several("--part", "NAME", PARTS, what="only these parts"),
-        add_threads,
-        several("--disturbances", "KIND", DISTURBANCES),
-        option(
-            "--degrees",
-            metavar="THETA",
-            nargs="+",
-            type=float,
-            help="sizes of the disturbance (default: 1 2 5 10 15 20 25, with --quick 10); true "
-            "normals are always there",
+    settings={
+        "part": several("NAME", PARTS, what="only these parts"),
+        "threads": threads,
+        "disturbances": several("KIND", DISTURBANCES),
+        "degrees": Setting(
+            (1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 25.0),
+            (10.0,),
+            value(
+                "THETA",
+                float,
+                "sizes of the disturbance (default: 1 2 5 10 15 20 25, with --quick 10); true "
+                "normals are always there",
+                nargs="+",
+            ),
         ),
-        count("--scenes", "K", "rooms"),
-        count("--size", "PIXELS", "of the rooms' pictures"),
-        count("--iterations", "K", "of a fit"),
-        first_seed("room", 7000),
-    ),
-    effort={
-        "part": (PARTS, PARTS),
-        "disturbances": (DISTURBANCES, DISTURBANCES),
-        "degrees": ((1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 25.0), (10.0,)),
-        "scenes": (12, 2),
-        "size": (128, 32),
-        "iterations": (500, 100),
+        "scenes": count("K", "rooms", 12, 2),
+        "size": count("PIXELS", "of the rooms' pictures", 128, 32),
+        "iterations": count("K", "of a fit", 500, 100),
+        "first_seed": first_seed("room", 7000),
     },
     about=(
         "What wrong normals cost, and how much of it comes back when they are refined together "

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import get_args
 
 from pbrfit.acquire.marigold import MATERIALS_MODEL
 from pbrfit.acquire.weights import Device
+from pbrfit.commands.arguments import choice, value
 from pbrfit_evaluation.grid.figures import Of, grid_rows, sheets
-from pbrfit_evaluation.options import count, option
+from pbrfit_evaluation.options import Setting, count, fixed
 from pbrfit_evaluation.peers import rgbx
 from pbrfit_evaluation.peers.measure import GRID, Task, work
 from pbrfit_evaluation.scores import PROTOCOL, SCORES
@@ -63,37 +63,18 @@ SUITE = Suite(
     run=work,
     rows=rows,
     sections=sections,
-    options=(
-        *GRID.options(6000, scenes="how many"),
-        count("--cycles-scenes", "K", "rendered by Blender Cycles, where it is set up"),
-        count("--cycles-size", "PIXELS", "of their pictures"),
-        option(
-            "--marigold",
-            metavar="ID|FOLDER",
-            default=MATERIALS_MODEL,
-            help="Marigold-IID (default: %(default)s)",
-        ),
-        option(
-            "--rgbx", metavar="ID|FOLDER", default=rgbx.MODEL, help="RGB-X (default: %(default)s)"
-        ),
-        option(
-            "--device",
-            choices=get_args(Device),
-            default="auto",
-            help="where peers compute; auto = a GPU, else cpu",
-        ),
-    ),
-    effort=GRID.effort
-    | {
-        "scenes": (10, 2),
-        "size": (256, 64),
-        "cycles_scenes": (5, 0),
-        "cycles_size": (128, 32),
-        "lights": (16, 8),
-        "iterations": (500, 60),
-        "samples": (5, 1),
-        "steps": (None, 4),
-        "longer_side": (1000, 256),
+    settings={
+        **GRID.settings(6000, count("K", "how many", 10, 2), (256, 64)),
+        "cycles_scenes": count("K", "rendered by Blender Cycles, where it is set up", 5, 0),
+        "cycles_size": count("PIXELS", "of their pictures", 128, 32),
+        "marigold": fixed(MATERIALS_MODEL, value("ID|FOLDER", str, "Marigold-IID")),
+        "rgbx": fixed(rgbx.MODEL, value("ID|FOLDER", str, "RGB-X")),
+        "device": fixed("auto", choice(Device, "where peers compute; auto = a GPU, else cpu")),
+        "lights": Setting(16, 8),
+        "iterations": Setting(500, 60),
+        "samples": Setting(5, 1),
+        "steps": Setting(None, 4),
+        "longer_side": Setting(1000, 256),
     },
     about=(
         "Marigold-IID and RGB-X find materials in one picture of synthetic scenes, our fit in all "

@@ -90,14 +90,6 @@ def _processor() -> str:
 
 PAGE = "report.html"
 
-UNTOLD = frozenset(
-    {
-        *("command", "out", "overwrite", "resume", "quiet", "default_jobs", "part", "effort"),
-        *("quick", "docs", "jobs", "cluster", "spelled", "defaults"),
-    }
-)
-"""Options that a reader of a report does not ask for, or finds elsewhere in it."""
-
 LONG = 40
 """Letters; longer text in a table is folded."""
 
@@ -150,13 +142,12 @@ def write(folder: Path, suite: Suite[Any], options: argparse.Namespace, found: O
 def command_of(suite: Suite[Any], options: argparse.Namespace) -> str:
     """What makes the figures again: options that are not the defaults, folders by name."""
     words = ["pbrfit", "evaluate", suite.name, *(["--quick"] if options.quick else [])]
-    for name, spelled in options.spelled.items():
-        value = getattr(options, name)
-        full, quick = suite.effort.get(name, (options.defaults[name],) * 2)
-        if name in UNTOLD - {"part"} or value in (quick if options.quick else full, None, False):
-            continue
-        words += [spelled] if spelled else []
-        words += [] if value is True else [_told(value)]
+    words += [_told(options.folders)] if suite.folders and options.folders else []
+    for name, setting in suite.settings.items():
+        asked = getattr(options, name)
+        if setting.flag is not None and asked not in (getattr(setting, options.effort), None):
+            words.append(f"--{(setting.name or name).replace('_', '-')}")
+            words += [] if asked is True else [_told(asked)]
     return " ".join(words)
 
 
@@ -183,12 +174,12 @@ def lines(found: Outcome) -> list[str]:
 
 def _opening(suite: Suite[Any], options: argparse.Namespace, found: Outcome) -> list[str]:
     on = machine()
-    asked = {
-        name: value
-        for name, value in vars(options).items()
-        if name not in UNTOLD and value not in (None, False, [], ())
-    }
-    told = ", ".join(f"{name.replace('_', ' ')} {_told(value)}" for name, value in asked.items())
+    asked = {name: getattr(options, name) for name in suite.settings}
+    told = ", ".join(
+        f"{name.replace('_', ' ')} {_told(value)}"
+        for name, value in asked.items()
+        if value not in (None, False)
+    )
     bars = [verdict for verdict in found.verdicts if verdict.bar is not None]
     held = sum(verdict.holds for verdict in bars)
     return [

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from scipy.stats import binomtest
 
 from pbrfit_evaluation import cycles
-from pbrfit_evaluation.options import first_seed
+from pbrfit_evaluation.options import Setting, first_seed
 from pbrfit_evaluation.review.measure import Task, work
 from pbrfit_evaluation.review.pictures import REPAINTS, Renderer
 from pbrfit_evaluation.suite import Options, Results, Row, Section, Suite, Table, Verdict
@@ -138,8 +138,12 @@ SUITE = Suite(
     rows=rows,
     verdicts=verdicts,
     sections=sections,
-    options=(first_seed("scene of a source"),),  # nothing was tuned on seeds from 6000 on
-    effort={"first_seed": (6000, 6000), "size": (512, 256), "pictures": (16, 8), "sets": (3, 1)},
+    settings={
+        "first_seed": first_seed("scene of a source", 6000),
+        "size": Setting(512, 256),
+        "pictures": Setting(16, 8),
+        "sets": Setting(3, 1),
+    },
     about=(
         "Renders of one view under many lights stand for the photograph and for pictures that a "
         "generator made of it. Some are damaged on purpose, five in each set. The review judges "

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 
+from pbrfit.commands.arguments import positive, value
 from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, by_seed, grid_rows, of_bars
-from pbrfit_evaluation.options import count
+from pbrfit_evaluation.options import Setting, count
 from pbrfit_evaluation.solvers.measure import GRID, NOISE, RESIDUAL, run
 from pbrfit_evaluation.suite import Row, Suite, Verdict
 
@@ -103,12 +104,18 @@ SUITE = Suite(
     run=run,
     rows=rows,
     verdicts=verdicts,
-    options=(
-        *GRID.options(FIRST_SEED, scenes="of every condition (default: as each needs)"),
-        count("--iterations", "K", "of a fit"),
-    ),
-    effort=GRID.effort
-    | {"scenes": ((67, 10), (2, 1)), "size": (128, 32), "iterations": (500, 100)},
+    settings={
+        **GRID.settings(
+            FIRST_SEED,
+            Setting(
+                (67, 10),
+                (2, 1),
+                value("K", positive, "of every condition (default: as each needs)"),
+            ),
+            (128, 32),
+        ),
+        "iterations": count("K", "of a fit", 500, 100),
+    },
     about=(
         "Whether the second-order solver “gauss-newton” reaches what it is there for, beside "
         "“lbfgsb”, scipy's L-BFGS-B, in rooms without noise, to the last digits, and with noise. "

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from pbrfit.commands.arguments import add_threads, whole_number
+from pbrfit.commands.arguments import value, whole_number
 from pbrfit_evaluation.arrays import worst
 from pbrfit_evaluation.jobs import Values
-from pbrfit_evaluation.options import option
+from pbrfit_evaluation.options import Setting, fixed, threads
 from pbrfit_evaluation.stability.sections import SECTIONS, Task, run
 from pbrfit_evaluation.suite import Options, Results, Row, Section, Suite, Table, Verdict
 
@@ -24,25 +24,25 @@ def worst_of(task: Task, values: Values) -> dict[str, tuple[float, str]]:
 def verdicts(results: Results[Task], _: Sequence[Row] = ()) -> list[Verdict]:
     """Every figure and its bound."""
     return [
-        Verdict(what, value, most, where, part=task.section)
+        Verdict(what, found, most, where, part=task.section)
         for task, values in results.finished
-        for key, (value, where) in worst_of(task, values).items()
+        for key, (found, where) in worst_of(task, values).items()
         for what, most in [SECTIONS[task.section].bounds[key]]
     ]
 
 
 def rows(results: Results[Task]) -> list[Row]:
     """A row a section: figures, their bounds, and how many fail."""
-    found = []
+    made = []
     for task, record in results.pairs:
         failed = sum(not verdict.holds for verdict in verdicts(results.of(section=task.section)))
         metrics: dict[str, float | None] = {}
-        for key, (value, _) in (worst_of(task, record.values) if record.values else {}).items():
+        for key, (found, _) in (worst_of(task, record.values) if record.values else {}).items():
             most = SECTIONS[task.section].bounds[key][1]
-            metrics |= {key: value} if most is None else {key: value, f"{key}_bound": most}
+            metrics |= {key: found} if most is None else {key: found, f"{key}_bound": most}
         status = record.error or ("not held" if failed else "ok")
-        found.append(Row(task.section, 0, None, metrics | {"failed": failed}, status=status))
-    return found
+        made.append(Row(task.section, 0, None, metrics | {"failed": failed}, status=status))
+    return made
 
 
 def sections(results: Results[Task], _: Sequence[Row]) -> Iterator[Section]:
@@ -81,20 +81,16 @@ SUITE = Suite(
     rows=rows,
     verdicts=verdicts,
     sections=sections,
-    options=(
-        option("--seed", type=whole_number, default=0, help="of pixels, lights, pictures"),
-        add_threads,
-    ),
-    effort={
-        "fast objective": ((393_216,), (8_192,)),  # pixels of a kind
-        "cancellation": ((65_536,), (4_096,)),  # pixels
-        "accumulated error": (
-            (10, 65_536, 32),
-            (8, 4_096, 8),
-        ),  # 4^k pixels, of many pictures, draws
-        "tiny numbers": ((65_536,), (8_192,)),  # pixels
-        "stiff fits": ((48, 16, 300), (10, 5, 20)),  # size, pictures, iterations
-        "edges": ((100,), (6,)),  # scenes
+    settings={
+        "seed": fixed(0, value("SEED", whole_number, "of pixels, lights, pictures")),
+        "threads": threads,
+        "fast objective": Setting((393_216,), (8_192,)),  # pixels of a kind
+        "cancellation": Setting((65_536,), (4_096,)),  # pixels
+        # 4^k pixels, of many pictures, draws
+        "accumulated error": Setting((10, 65_536, 32), (8, 4_096, 8)),
+        "tiny numbers": Setting((65_536,), (8_192,)),  # pixels
+        "stiff fits": Setting((48, 16, 300), (10, 5, 20)),  # size, pictures, iterations
+        "edges": Setting((100,), (6,)),  # scenes
     },
     jobs=1,
     about=(

@@ -7,10 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from pbrfit._core import InputError
-from pbrfit.model.reflection import Model
+from pbrfit.commands.arguments import choice, value
+from pbrfit.model.reflection import MODELS, Model
 from pbrfit_evaluation.grid.figures import Of, grid_rows, sheets
 from pbrfit_evaluation.jobs import digest_of_files
-from pbrfit_evaluation.options import count, model_option, models, option
+from pbrfit_evaluation.options import BOTH, count, fixed, models
 from pbrfit_evaluation.plots import dots
 from pbrfit_evaluation.rooms.textures import load_textures
 from pbrfit_evaluation.scores import PROTOCOL, SCORES
@@ -125,24 +126,27 @@ SUITE = Suite(
     run=run,
     rows=rows,
     sections=sections,
-    options=(
-        model_option("is fitted, and what our renderer renders with"),
-        *GRID.options(FIRST_SEED, "--rows", scenes=f"at most {MOST_SCENES}"),
-        count("--lights", "N", "pictures a scene; as many are held out", default=16),
-        count("--iterations", "K", "of a fit", default=500),
-        option(
-            "--textures",
-            metavar="DIR",
-            type=Path,
-            help="PBR maps for the detailed scenes (default: procedural textures)",
+    settings={
+        "model": fixed(
+            BOTH,
+            choice(
+                (*MODELS, BOTH),
+                "what is fitted, and what our renderer renders with, of `pbrfit decompose --model`",
+            ),
         ),
-        count(
-            "--slow-scenes",
+        **GRID.settings(FIRST_SEED, count("K", f"at most {MOST_SCENES}", 67, 4), (64, 32), "rows"),
+        "lights": count("N", "pictures a scene; as many are held out", 16),
+        "iterations": count("K", "of a fit", 500),
+        "textures": fixed(
+            None,
+            value("DIR", Path, "PBR maps for the detailed scenes (default: procedural textures)"),
+        ),
+        "slow_scenes": count(
             "K",
             "of setups that take minutes a scene: Cycles, refined normals, large pictures",
+            *(20, 0),
         ),
-    ),
-    effort=GRID.effort | {"scenes": (67, 4), "slow_scenes": (20, 0), "size": (64, 32)},
+    },
     about=(
         "Scenes whose ground truth is known, in the setups of the paper's Table 1, decomposed "
         "with and without priors and by the paper's recipe. Figures are means over scenes, with "

@@ -44,11 +44,12 @@ SUITE = Suite(
     run=run,
     rows=rows,
     sections=sections,
-    options=(
-        *GEOMETRY.options(8100, "--setups", ways="--variants", scenes="rooms of a setup"),
-        count("--lights", "N", "pictures a room; as many are held out", default=16),
-    ),
-    effort=GEOMETRY.effort | {"scenes": (10, 2), "size": (64, 24)},
+    settings={
+        **GEOMETRY.settings(
+            8100, count("K", "rooms of a setup", 10, 2), (64, 24), "setups", ways="variants"
+        ),
+        "lights": count("N", "pictures a room; as many are held out", 16),
+    },
     about=(
         "Rooms with furniture under panoramas of SH3 light, rendered by Blender Cycles: without "
         "shadows, with shadows, and with all that a path tracer does; fitted with and without "

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from pbrfit.commands.arguments import choice
 from pbrfit.model.reflection import DEFAULT_MODEL, MODELS
 from pbrfit.result.verdict import (
     LEVELS,
@@ -18,7 +19,7 @@ from pbrfit.result.verdict import (
 )
 from pbrfit_evaluation.arrays import Array
 from pbrfit_evaluation.grid.figures import Metrics, Of, grid_rows
-from pbrfit_evaluation.options import option
+from pbrfit_evaluation.options import count, fixed
 from pbrfit_evaluation.plots import draw, dress, mark, panels, png
 from pbrfit_evaluation.suite import Picture, Row, Section, Suite, Table, Value, Verdict, digits
 from pbrfit_evaluation.uncertainty.measure import CONDITIONS, GRID, GROUPS, Condition, run
@@ -188,16 +189,12 @@ SUITE = Suite(
     rows=rows,
     verdicts=verdicts,
     sections=sections,
-    options=(
-        *GRID.options(9300, "--rows"),
-        option(
-            "--model",
-            choices=MODELS,
-            default=DEFAULT_MODEL,
-            help="that is fitted, of `pbrfit decompose --model` (default: %(default)s)",
+    settings={
+        **GRID.settings(9300, count("K", "of a condition", 10, 1), (64, 32), "rows"),
+        "model": fixed(
+            DEFAULT_MODEL, choice(MODELS, "that is fitted, of `pbrfit decompose --model`")
         ),
-    ),
-    effort=GRID.effort | {"scenes": (10, 1), "size": (64, 32)},
+    },
     about=(
         "Rooms with known materials, 16 pictures each, fitted with all defaults. In some rows the "
         "pictures are as the model has them, in others something is wrong that no fit knows of: "
