@@ -12,7 +12,7 @@ import numpy as np
 
 from pbrfit.commands.arguments import positive, switch, value
 from pbrfit_evaluation.heldout.figures import error_of
-from pbrfit_evaluation.heldout.measure import LARGEST_SHOWN, Task, Way, run
+from pbrfit_evaluation.heldout.measure import LARGEST_SHOWN, Task, run
 from pbrfit_evaluation.heldout.sources import asked_sources
 from pbrfit_evaluation.options import Setting, count, fixed, several
 from pbrfit_evaluation.panels import in_lines, unpacked
@@ -28,7 +28,7 @@ from pbrfit_evaluation.suite import (
     Verdict,
 )
 
-IN_WORDS: dict[Way, str] = {
+IN_WORDS: dict[str, str] = {
     "default": "unknown lamps",
     "directions": "directions told",
     "strengths": "directions, strengths told",
@@ -41,7 +41,7 @@ WORSE = 1.02
 """Mean angle over that of another way, at most: objects are few, and 2 % is less than what another
 choice of pictures changes."""
 
-BESIDE: tuple[tuple[Way, Way], ...] = (
+BESIDE: tuple[tuple[str, str], ...] = (
     ("directions", "lambert-trimmed"),
     ("strengths", "directions"),
     ("directions", "default"),
@@ -62,7 +62,7 @@ PUBLISHED: dict[str, str] = {
 Of = Results[Task]
 
 
-def _each(results: Of) -> Iterator[tuple[int, Way, Of]]:
+def _each(results: Of) -> Iterator[tuple[int, str, Of]]:
     """Numbers of pictures and ways, with the objects that have so many."""
     for keep in sorted({task.keep for task, _ in results.pairs}):
         for way in WAYS:

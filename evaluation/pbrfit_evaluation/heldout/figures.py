@@ -11,7 +11,7 @@ from typing import Any
 
 from pbrfit.report.html import Cell
 from pbrfit_evaluation.heldout.light import Score, relative_error
-from pbrfit_evaluation.heldout.measure import IN_WORDS, OURS, WAYS, Task, Way, run
+from pbrfit_evaluation.heldout.measure import WAYS, Task, run
 from pbrfit_evaluation.heldout.sources import Source, asked_sources
 from pbrfit_evaluation.options import count, several
 from pbrfit_evaluation.suite import (
@@ -29,9 +29,11 @@ from pbrfit_evaluation.suite import (
 MEAN_REGRET, WORST_REGRET = 1.05, 1.25
 """Bars of the default's regret: geometric mean over sets, and any set."""
 
-BESIDE: tuple[tuple[Way, float], ...]
 BESIDE = ("paper", 1.0), ("paper", 1.1), ("lambert", 1.0), ("nearest", 1.0)
 """What the default is held against, and how many times its error may be."""
+
+OURS = [key for key, way in WAYS.items() if not (way.baseline or way.lamps)]
+"""Ways that find materials and are told no lamps."""
 
 Of = Results[Task]
 
@@ -47,7 +49,7 @@ class OfSet:
     results: Of
 
     @cached_property
-    def errors(self) -> dict[Way, float]:
+    def errors(self) -> dict[str, float]:
         """Error of the held-out pictures by a way's own kind of light, of ways without failures."""
         found = {way: together(self.results.of(way=way), "own", error_of) for way in WAYS}
         return {way: error for way, error in found.items() if error is not None}
@@ -166,7 +168,7 @@ def _in_short(of_sets: Sequence[OfSet]) -> Table:
         both = [one.errors for one in of_sets if {"default", way} <= one.errors.keys()]
         held = sum(of["default"] <= factor * of[way] for of in both)
         most = "at most" if factor == 1 else f"at most {factor:g} times"
-        what = f"sets with {most} the error of: {IN_WORDS[way]}"
+        what = f"sets with {most} the error of: {WAYS[way].words}"
         lines += [[what, f"{held} of {len(both)}"]] if both else []
     return Table(["default", "found"], lines)
 
@@ -187,7 +189,7 @@ def _by_way(of_sets: Sequence[OfSet]) -> Table:
     all_of = {way: [one.errors[way] for one in of_sets if way in one.errors] for way in ways}
     means = [geometric_mean(of) if len(of) == len(of_sets) else None for of in all_of.values()]
     lines.append([f"geometric mean of {len(of_sets)} sets", *means])
-    return Table(["set", *(IN_WORDS[way] for way in ways)], lines)
+    return Table(["set", *(WAYS[way].words for way in ways)], lines)
 
 
 # ------------------------------------------------------------------------------------- the suite
