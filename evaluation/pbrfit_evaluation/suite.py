@@ -238,12 +238,9 @@ class Table:
 
     columns: Sequence[str]
     rows: Sequence[Sequence[Value]]
-    caption: str = ""
 
     @classmethod
-    def of(
-        cls, rows: Sequence[Row], columns: Sequence[Column | str] = (), caption: str = ""
-    ) -> Table:
+    def of(cls, rows: Sequence[Row], columns: Sequence[Column | str] = ()) -> Table:
         """Rows of summary.json as a table, with intervals and what went wrong.
 
         `columns` are metrics, all of them by default. Among rows of one name the best of a column
@@ -269,7 +266,7 @@ class Table:
             line += [figure(row, one, alike) for one in shown]
             line += [Cell("" if row.status == "ok" else row.status, "note")] if status else []
             made.append(line)
-        return cls([*head, "status"] if status else head, made, caption)
+        return cls([*head, "status"] if status else head, made)
 
 
 def figure(row: Row, column: Column, alike: Sequence[Row]) -> Cell | None:

@@ -126,7 +126,7 @@ def test_torch_loss_and_gradient_are_ours() -> None:
     pytest.importorskip("torch")
     from pbrfit_evaluation.convergence.torch_peer import Problem
 
-    scene = make(Case("c", 16, 0.01, "typical"), 100)
+    scene = make(Case("c", 16, 0.01), 100)
     objective = Objective(scene, threads=1)
     x = objective.start()
     of_maps = slice(0, 5 * objective.pixels)

@@ -13,7 +13,7 @@ from pbrfit import relight
 from pbrfit.export import export_result
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation import cycles
-from pbrfit_evaluation.cycles.blender import rendered_export
+from pbrfit_evaluation.cycles.process import rendered_export
 from pbrfit_evaluation.generated.measure import (
     LEVELS,
     given,

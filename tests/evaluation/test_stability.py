@@ -16,8 +16,7 @@ import pbrfit
 import reference
 from pbrfit_evaluation.jobs import Record, Values
 from pbrfit_evaluation.stability import edges, figures, stiff_fits
-from pbrfit_evaluation.stability.double_precision import Case, evaluate
-from pbrfit_evaluation.stability.extreme_pixels import random_case
+from pbrfit_evaluation.stability.double_precision import Case, evaluate, random_case
 from pbrfit_evaluation.stability.sections import SECTIONS, Task
 from pbrfit_evaluation.stability.sections import run as run_section
 from pbrfit_evaluation.suite import Results

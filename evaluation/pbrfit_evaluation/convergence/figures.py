@@ -27,7 +27,7 @@ from pbrfit_evaluation.convergence.measure import (
     median_reached,
     trial,
 )
-from pbrfit_evaluation.convergence.solvers import BY_NAME, Task, asked
+from pbrfit_evaluation.convergence.solvers import SOLVERS, Task, asked
 from pbrfit_evaluation.heldout.sources import find_sources
 from pbrfit_evaluation.jobs import Values, digest_of_files
 from pbrfit_evaluation.options import Setting, count, fixed, several
@@ -275,7 +275,7 @@ def tasks(options: Options) -> list[Task]:
 def run(task: Task, threads: int) -> dict[str, Any]:
     """Do one run, after a rehearsal off the clock that loads libraries and wakes threads."""
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan
-    solver = BY_NAME[task.solver]
+    solver = SOLVERS[task.solver]
     scene, errors = trial(replace(REHEARSAL, model=task.case.model), 0, threads)
     solver.run(scene, REHEARSAL_BUDGET, Tracker(errors), threads)
     scene, errors = trial(task.case, task.seed, threads)
@@ -302,7 +302,7 @@ SUITE = Suite(
         "model": fixed("paper", choice(MODELS, MODEL_OF_PICTURES)),
         "seeds": count("K", "scenes of a case", 2, 1),
         "cases": several("NAME", CASES, tuple(CASES)[-2:], default=tuple(CASES)[:-2]),
-        "solvers": several("NAME", BY_NAME),
+        "solvers": several("NAME", SOLVERS),
         "real": fixed(
             None,
             value(

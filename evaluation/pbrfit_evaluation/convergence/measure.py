@@ -28,9 +28,6 @@ from pbrfit_evaluation.heldout.sources import find_sources, opened
 from pbrfit_evaluation.recipes import OTHER, within
 from pbrfit_evaluation.suite import Options
 
-Lights = Literal["typical", "alike"]
-"""How the training lights differ."""
-
 PICTURES = 16
 
 ALIKE = 0.1
@@ -47,8 +44,8 @@ class Case:
     """Width and height of the pictures, pixels."""
     noise: float = 0.0
     """Standard deviation of the Gaussian noise, as a share of the mean radiance."""
-    lights: Lights = "typical"
-    """Which training lights. The held-out lights are always typical ones."""
+    alike: bool = False
+    """Whether training lights hardly differ. The held-out lights always do."""
     model: Model = "paper"
     """That is fitted, and that pictures are rendered with."""
     misfit: bool = False
@@ -74,14 +71,14 @@ class Case:
         if self.misfit:
             return f"{self.size}², pictures of the other model"
         noise = f"noise {100 * self.noise:g} %" if self.noise else "no noise"
-        return f"{self.size}², {noise}, lights {self.lights}"
+        return f"{self.size}², {noise}, lights {'alike' if self.alike else 'typical'}"
 
 
 def make(case: Case, seed: int) -> Scene:
     """Make a room of a synthetic case, 16 training and 16 held-out pictures.
 
-    "typical" lights are those of `pbrfit.synthetic`: a key light and fills of several colours with
-    an ambient term. With their mean L̄, those that are "alike" are L̄ + ε (L − L̄), ε = `ALIKE`: the
+    Lights are those of `pbrfit.synthetic`: a key light and fills of several colours with an
+    ambient term. With their mean L̄, those that are alike are L̄ + ε (L − L̄), ε = `ALIKE`: the
     condition number is about 1/ε times as large, and a mean of positive lights is positive.
     """
     model = OTHER[case.model] if case.misfit else case.model
@@ -90,7 +87,7 @@ def make(case: Case, seed: int) -> Scene:
     )
     truth, images, lighting = scene.truth, scene.images, true_lighting(scene)
     assert truth is not None
-    if case.lights == "alike":
+    if case.alike:
         # Radiance is linear in the light, so the pictures blend as the lights do.
         lighting, images = (
             whole.mean(axis=0) + ALIKE * (whole - whole.mean(axis=0))
@@ -134,15 +131,15 @@ CASES = {
     for case in (
         Case("clean-128", 128),
         Case("noisy-128", 128, 0.01),
-        Case("stiff-128", 128, 0.01, "alike"),
+        Case("stiff-128", 128, 0.01, alike=True),
         Case("misfit-128", 128, 0.01, misfit=True),
         Case("clean-512", 512),
         Case("noisy-512", 512, 0.01),
-        Case("stiff-512", 512, 0.01, "alike"),
+        Case("stiff-512", 512, 0.01, alike=True),
         Case("misfit-512", 512, 0.01, misfit=True),
         Case("noisy-1024", 1024, 0.01),
         Case("clean-24", 24),
-        Case("stiff-24", 24, 0.01, "alike"),
+        Case("stiff-24", 24, 0.01, alike=True),
     )
 }
 """By name; the last two are those of `--quick`."""

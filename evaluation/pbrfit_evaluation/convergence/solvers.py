@@ -94,7 +94,7 @@ OPTIMISERS: dict[torch_peer.Optimiser, str] = {
     "adam": "Adam with a cosine of learning rates",
 }
 
-SOLVERS: tuple[Solver, ...] = (
+_ALL = (
     Solver(
         "default",
         "pbrfit.decompose with its priors, given the segments where there are some.",
@@ -131,13 +131,13 @@ SOLVERS: tuple[Solver, ...] = (
     ),
 )
 
-
-BY_NAME = {solver.name: solver for solver in SOLVERS}
+SOLVERS = {solver.name: solver for solver in _ALL}
+"""By name."""
 
 
 def asked(options: Options) -> list[Solver]:
     """Those of a run."""
-    return [BY_NAME[name] for name in options.solvers or BY_NAME]
+    return [SOLVERS[name] for name in options.solvers or SOLVERS]
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import draw, make_scene
 from pbrfit_evaluation import cycles
 from pbrfit_evaluation.arrays import Array, Floats, filled, known
-from pbrfit_evaluation.cycles.blender import rendered_export
+from pbrfit_evaluation.cycles.process import rendered_export
 from pbrfit_evaluation.estimator_errors import estimated_depth, estimated_maps
 from pbrfit_evaluation.everyday.measure import read_back, write_png
 from pbrfit_evaluation.grid import Case, Grid

@@ -123,7 +123,11 @@ def write(folder: Path, suite: Suite[Any], options: argparse.Namespace, found: O
     (folder / PAGE).write_text(
         _page(folder, suite.title, _opening(suite, options, found), sections), encoding="utf-8"
     )
-    texts = (_titled(section, one) for section in sections for one in section.tables)
+    texts = (
+        f"### {section.title}\n\n{markdown(table)}"
+        for section in sections
+        for table in section.tables
+    )
     (folder / f"{suite.name}.md").write_text("\n".join(texts), encoding="utf-8")
     for name, lines in found.files.items():
         if isinstance(lines, bytes):
@@ -270,7 +274,7 @@ def _dressed(table: Table) -> html.Table:
         Cell(text, "number" if number else "name" if len(text) <= LONG else "")
         for text, number in zip(table.columns, _numeric(table), strict=True)
     ]
-    return html.Table(columns, [list(map(_cell, row)) for row in table.rows], table.caption)
+    return html.Table(columns, [list(map(_cell, row)) for row in table.rows])
 
 
 def _numeric(table: Table) -> list[bool]:
@@ -288,11 +292,6 @@ def _cell(value: Value) -> Cell:
     if value is None or value != value:
         return Cell("–", "number")
     return Cell(digits(value), "number", float(value))
-
-
-def _titled(section: Section, table: Table) -> str:
-    caption = f"{table.caption}\n\n" if table.caption else ""
-    return f"### {section.title}\n\n{caption}{markdown(table)}"
 
 
 def markdown(table: Table) -> str:

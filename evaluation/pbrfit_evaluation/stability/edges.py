@@ -27,16 +27,14 @@ from pbrfit_evaluation.jobs import Values, unlogged
 from pbrfit_evaluation.stability.double_precision import (
     MIN_COSINE,
     Case,
+    Change,
     Rows,
     compare,
-    worst_entry,
-)
-from pbrfit_evaluation.stability.extreme_pixels import (
-    Change,
     grazing,
     random_case,
     scaled,
     seen_at,
+    worst_entry,
 )
 from pbrfit_evaluation.stability.stiff_fits import nonsense
 

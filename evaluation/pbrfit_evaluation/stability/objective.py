@@ -12,12 +12,15 @@ from pbrfit._core import InputError
 from pbrfit.report.notation import scientific
 from pbrfit_evaluation.jobs import Values
 from pbrfit_evaluation.scores import MAPS
-from pbrfit_evaluation.stability.double_precision import Case, Rows, compare, worst_entry
-from pbrfit_evaluation.stability.extreme_pixels import (
+from pbrfit_evaluation.stability.double_precision import (
     KINDS,
+    Case,
+    Rows,
+    compare,
     random_case,
     random_lights,
     random_pixels,
+    worst_entry,
 )
 
 PICTURES = 8

@@ -42,9 +42,6 @@ REFINED = ("default",)
 
 REGULARIZED = ("default", "paper-priors", "constant")
 
-Renderer = Literal["own", "cycles"]
-NormalSource = Literal["true", "predicted"]
-
 
 @dataclass(frozen=True)
 class Row:
@@ -54,12 +51,12 @@ class Row:
     """For people."""
     scene: Literal["furnished", "detailed"] = "furnished"
     """Kind of scene."""
-    renderer: Renderer = "own"
+    renderer: Literal["own", "cycles"] = "own"
     """Whose pictures: our forward model's, or Blender Cycles'."""
     light: Literal["panorama", "points"] = "panorama"
     transport: Literal["brdf", "shadows", "full"] = "full"
     """`light` and `transport`: of Cycles: see `pbrfit_evaluation.cycles.render_scene`."""
-    normals: NormalSource = "true"
+    normals: Literal["true", "predicted"] = "true"
     """The true ones, or those of a simulated estimator."""
     refine_normals: RefineNormals = "off"
     """As for `pbrfit.decompose`."""
