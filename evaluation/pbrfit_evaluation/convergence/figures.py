@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import math
-import os
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from pbrfit._core import InputError
 from pbrfit.commands.arguments import choice, value
@@ -21,13 +18,11 @@ from pbrfit_evaluation.convergence.measure import (
     Case,
     Point,
     Quantity,
-    Tracker,
     chosen,
     first_reached,
     median_reached,
-    trial,
 )
-from pbrfit_evaluation.convergence.solvers import SOLVERS, Task, asked
+from pbrfit_evaluation.convergence.solvers import SOLVERS, Task, asked, run
 from pbrfit_evaluation.heldout.sources import find_sources
 from pbrfit_evaluation.jobs import Values, digest_of_files
 from pbrfit_evaluation.options import Setting, count, fixed, several
@@ -43,9 +38,6 @@ from pbrfit_evaluation.suite import (
     Table,
     Verdict,
 )
-
-if TYPE_CHECKING:
-    from pbrfit_evaluation.convergence.solvers import Task
 
 PLOTTED: tuple[Quantity, ...] = ("recon", "relight")
 
@@ -239,9 +231,6 @@ FIRST_SEED = 100
 
 MOST_SEEDS = 100
 
-REHEARSAL = Case("rehearsal", 8)
-REHEARSAL_BUDGET = Budget(iterations=3, evaluations=3, seconds=60.0)
-
 
 def tasks(options: Options) -> list[Task]:
     """All runs that are possible here, those of a seed one after the other.
@@ -270,23 +259,6 @@ def tasks(options: Options) -> list[Task]:
         for solver in asked(options)
         if not solver.why_not(case.model)
     ]
-
-
-def run(task: Task, threads: int) -> dict[str, Any]:
-    """Do one run, after a rehearsal off the clock that loads libraries and wakes threads."""
-    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan
-    solver = SOLVERS[task.solver]
-    scene, errors = trial(replace(REHEARSAL, model=task.case.model), 0, threads)
-    solver.run(scene, REHEARSAL_BUDGET, Tracker(errors), threads)
-    scene, errors = trial(task.case, task.seed, threads)
-    tracker = Tracker(errors)
-    reason = solver.run(scene, task.budget, tracker, threads)
-    return {
-        "points": tracker.points,
-        "stop_reason": reason,
-        "threads": threads,
-        "load": load,
-    }
 
 
 SUITE = Suite(

@@ -5,8 +5,10 @@ All but the first minimise the same objective, that without priors.
 
 from __future__ import annotations
 
+import math
+import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
 from typing import Any
@@ -16,7 +18,7 @@ from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.convergence import torch_peer
-from pbrfit_evaluation.convergence.measure import Budget, Case, Tracker
+from pbrfit_evaluation.convergence.measure import Budget, Case, Tracker, trial
 from pbrfit_evaluation.recipes import paper_start
 from pbrfit_evaluation.suite import Options
 
@@ -155,3 +157,24 @@ class Task:
     def key(self) -> str:
         """Unique name, fit for a file."""
         return f"{self.case.name}.{self.solver}.{self.seed}"
+
+
+REHEARSAL = Case("rehearsal", 8)
+REHEARSAL_BUDGET = Budget(iterations=3, evaluations=3, seconds=60.0)
+
+
+def run(task: Task, threads: int) -> dict[str, Any]:
+    """Do one run, after a rehearsal off the clock that loads libraries and wakes threads."""
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan
+    solver = SOLVERS[task.solver]
+    scene, errors = trial(replace(REHEARSAL, model=task.case.model), 0, threads)
+    solver.run(scene, REHEARSAL_BUDGET, Tracker(errors), threads)
+    scene, errors = trial(task.case, task.seed, threads)
+    tracker = Tracker(errors)
+    reason = solver.run(scene, task.budget, tracker, threads)
+    return {
+        "points": tracker.points,
+        "stop_reason": reason,
+        "threads": threads,
+        "load": load,
+    }

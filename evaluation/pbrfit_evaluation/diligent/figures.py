@@ -14,6 +14,7 @@ from pbrfit.commands.arguments import positive, switch, value
 from pbrfit_evaluation.heldout.figures import error_of
 from pbrfit_evaluation.heldout.measure import LARGEST_SHOWN, Task, run
 from pbrfit_evaluation.heldout.sources import asked_sources
+from pbrfit_evaluation.jobs import digest_of_files
 from pbrfit_evaluation.options import Setting, count, fixed, several
 from pbrfit_evaluation.panels import in_lines, unpacked
 from pbrfit_evaluation.suite import (
@@ -211,7 +212,7 @@ def cases(options: Options) -> list[Task]:
             mapped=keep == numbers[-1],
         )
         for source in asked_sources(options.folders, os.environ)
-        for digest in [source.digest()]
+        for digest in [digest_of_files(source.folder)]
         for numbers in [sorted({min(n, source.pictures) for n in options.pictures})]
         for keep in numbers
         for way in WAYS

@@ -7,13 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from pbrfit_evaluation.everyday.measure import (
-    DISTURBANCES,
-    GRID,
-    PICTURED,
-    covered,
-    run,
-)
+from pbrfit_evaluation.everyday.measure import DISTURBANCES, GRID, PICTURED, covered, run
 from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, grid_rows, of_bars, sheets
 from pbrfit_evaluation.options import count
 from pbrfit_evaluation.scores import MAPS

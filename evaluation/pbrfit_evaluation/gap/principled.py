@@ -36,12 +36,7 @@ from functools import lru_cache
 import numpy as np
 
 from pbrfit_evaluation.arrays import Array
-from pbrfit_evaluation.gap.brute_force import (
-    NODES,
-    integrate_lobe,
-    integrated_lobe,
-    schlick_parts,
-)
+from pbrfit_evaluation.gap.brute_force import NODES, integrate_lobe, integrated_lobe, schlick_parts
 
 F0_DIELECTRIC = 0.04
 _INDEX = 1.5  # ((1.5 − 1) / (1.5 + 1))² = 0.04

@@ -13,6 +13,7 @@ from pbrfit.report.html import Cell
 from pbrfit_evaluation.heldout.light import Score, relative_error
 from pbrfit_evaluation.heldout.measure import WAYS, Task, run
 from pbrfit_evaluation.heldout.sources import Source, asked_sources
+from pbrfit_evaluation.jobs import digest_of_files
 from pbrfit_evaluation.options import count, several
 from pbrfit_evaluation.suite import (
     Options,
@@ -204,7 +205,7 @@ def cases(options: Options) -> list[Task]:
     return [
         Task(source, way, fold, digest, *of)
         for source in asked_sources(options.folders, os.environ)
-        for digest in [source.digest()]
+        for digest in [digest_of_files(source.folder)]
         for count in [min(source.pictures, options.pictures)]
         for fold in range(max(1, min(options.folds, count // options.held_out)))
         for way in WAYS

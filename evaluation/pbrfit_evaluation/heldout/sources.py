@@ -32,7 +32,7 @@ from pbrfit.scene import folder as scene_folder
 from pbrfit.scene.completion import add_normals, picture_size
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.arrays import Array, Floats, Mask, unit
-from pbrfit_evaluation.jobs import digest_of_files, unlogged
+from pbrfit_evaluation.jobs import unlogged
 
 
 @dataclass(frozen=True)
@@ -50,10 +50,6 @@ class Source:
     """Whether its licence lets nothing of it be published."""
     linear: bool = False
     """Whether it says that the values in its files are linear."""
-
-    def digest(self) -> str:
-        """sha256 of the names and contents of all files."""
-        return digest_of_files(self.folder)
 
 
 @dataclass(frozen=True)

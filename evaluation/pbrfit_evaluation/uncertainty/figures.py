@@ -22,7 +22,7 @@ from pbrfit_evaluation.grid.figures import Metrics, Of, grid_rows
 from pbrfit_evaluation.options import count, fixed
 from pbrfit_evaluation.plots import draw, dress, mark, panels, png
 from pbrfit_evaluation.suite import Picture, Row, Section, Suite, Table, Value, Verdict, digits
-from pbrfit_evaluation.uncertainty.measure import CONDITIONS, GRID, GROUPS, Condition, run
+from pbrfit_evaluation.uncertainty.measure import CONDITIONS, GRID, GROUPS, run
 
 COVERED = (0.9, 0.99)
 """Share of the errors within two deviations, at least and at most: of a Gaussian 0.954."""
@@ -47,26 +47,15 @@ def rows(results: Of) -> list[Row]:
     """A row a condition: of each map means over scenes."""
 
     def more(_: str, __: str, of: Of) -> Metrics:
-        return {
-            f"{name}_{key}": value
-            for name in PARAMETERS
-            for key, value in _of_map(of, name).items()
-        }
+        found: dict[str, float | None] = {}
+        for name in PARAMETERS:
+            means = {key: of.average("said", name, key) for key in METRICS}
+            over = means["rmse"] / means["guess"] if means["guess"] else math.nan
+            of_map = {**means, **of.metrics(["within_2"], "said", name), "over_guess": over}
+            found |= {f"{name}_{key}": value for key, value in of_map.items()}
+        return found
 
     return grid_rows(GRID, results, ("seconds",), more)
-
-
-def _conditions(results: Of) -> Iterator[tuple[Condition, Of]]:
-    """Those with a finished scene, in their order."""
-    for name, condition in CONDITIONS.items():
-        if (of := results.of(condition=name)).finished:
-            yield condition, of
-
-
-def _of_map(of: Of, name: str) -> dict[str, float | None]:
-    means = {key: of.average("said", name, key) for key in METRICS}
-    over = means["rmse"] / means["guess"] if means["guess"] else math.nan
-    return {**means, **of.metrics(["within_2"], "said", name), "over_guess": over}
 
 
 # -------------------------------------------------------------------------------------- verdicts
@@ -92,11 +81,8 @@ def _row_verdicts(row: Row) -> Iterator[Verdict]:
 
     within, over = of_maps("within_2"), of_maps("over_guess")
     low, high = COVERED
-    least, most, worst = (
-        min(within, key=lambda name: within[name]),
-        max(within, key=lambda name: within[name]),
-        max(over, key=lambda name: over[name]),
-    )
+    least, most = min(within, key=within.__getitem__), max(within, key=within.__getitem__)
+    worst = max(over, key=over.__getitem__)
     what = f"{row.name}: share of errors within two deviations"
     yield Verdict(f"{what}, least", within[least], low, least, at_least=True)
     yield Verdict(f"{what}, largest", within[most], high, most)
@@ -155,9 +141,8 @@ def _expected(results: Of) -> Picture:
         for place, group in enumerate(GROUPS):
             found = [
                 values["said"][name]
-                for condition, of in _conditions(results)
-                if condition.group == group
-                for _, values in of.finished
+                for case, values in results.finished
+                if CONDITIONS[case.condition].group == group
             ]
             x, y = (
                 [max(one[key], LEAST_ERROR) for one in found] for key in ("expected_error", "rmse")
