@@ -5,17 +5,18 @@ Their materials keep to their segments or not, and segments are right or wrong.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 from pbrfit.result.options import Priors, prior_names
 from pbrfit.scene.scene import Scene
-from pbrfit.synthetic.patterns import Pattern, checker, clouds, patches, stripes
+from pbrfit.synthetic.patterns import checker, clouds, patches, stripes
 from pbrfit_evaluation.arrays import Array, Floats, known
 from pbrfit_evaluation.grid import NOISE, Case, Grid, measured
 from pbrfit_evaluation.recipes import PAPER_PRIORS, Way, lit_anew
@@ -39,8 +40,8 @@ SPREAD = (0.08, 0.12)
 
 RANGE = (0.05, 1.0)
 
-PATTERNS = (clouds, checker, stripes, patches)
-"""Every second segment varies smoothly, the others by one of the three with outlines in turn."""
+PATTERNS = (clouds, checker, clouds, stripes, clouds, patches)
+"""Of segments in turn: every second one varies smoothly, the others by patterns with outlines."""
 
 PERIOD = (0.1, 0.3)
 """Period of the patterns, in widths of the picture; at most the side of a square as large as the
@@ -100,7 +101,7 @@ def varied(roughness: Floats, segments: Ids, rng: Generator) -> Array:
     for order, i in enumerate(np.unique(segments)):
         here = segments == i
         side = np.sqrt(here.sum()) / width
-        pattern = _maker(order)(rng, min(rng.uniform(*PERIOD), side))
+        pattern = PATTERNS[order % len(PATTERNS)](rng, min(rng.uniform(*PERIOD), side))
         values = pattern(points[here])
         values = values - values.mean()
         deviation, spread = values.std(), rng.uniform(*SPREAD)
@@ -125,26 +126,10 @@ def merged(segments: Ids, rng: Generator) -> Ids:
     takers, givers = ids[:count], ids[count:]
     found = segments.copy()
     for order, i in enumerate(takers):
-        near = np.intersect1d(givers, _neighbours(segments, i))
-        found[segments == i] = rng.choice(near if order % 2 == 0 and len(near) else givers)
+        here = segments == i
+        near = np.intersect1d(givers, segments[binary_dilation(here) & ~here])
+        found[here] = rng.choice(near if order % 2 == 0 and len(near) else givers)
     return found
-
-
-def _maker(order: int) -> Callable[[Generator, float], Pattern]:
-    smooth, *outlined = PATTERNS
-    return smooth if order % 2 == 0 else outlined[order // 2 % len(outlined)]
-
-
-def _neighbours(segments: Ids, i: int) -> Ids:
-    """Ids of the segments that share a border with segment i."""
-    pairs = np.concatenate(
-        [
-            np.stack([segments[1:], segments[:-1]], axis=-1).reshape(-1, 2),
-            np.stack([segments[:, 1:], segments[:, :-1]], axis=-1).reshape(-1, 2),
-        ]
-    )
-    touching = pairs[(pairs == i).any(axis=-1)]
-    return np.unique(touching[touching != i])
 
 
 WEIGHTS = (0.01, 0.1, 1.0, 10.0)

@@ -43,11 +43,11 @@ def cases(options: Options) -> list[Task]:
     return [
         Task(
             **vars(case),
-            samples=options.samples,
-            steps=options.steps,
-            longer_side=options.longer_side,
+            **{
+                name: getattr(options, name)
+                for name in ("samples", "steps", "longer_side", "device")
+            },
             checkpoint=getattr(options, case.way, None),
-            device=options.device,
         )
         for case in GRID.cases(options)
     ]

@@ -11,7 +11,7 @@ from scipy.stats import binomtest
 from pbrfit_evaluation import cycles
 from pbrfit_evaluation.options import Setting, first_seed
 from pbrfit_evaluation.review.measure import Task, work
-from pbrfit_evaluation.review.pictures import REPAINTS, Renderer
+from pbrfit_evaluation.review.pictures import REPAINTS
 from pbrfit_evaluation.suite import Options, Results, Row, Section, Suite, Table, Verdict
 
 LEAST_CAUGHT = 0.95
@@ -103,19 +103,16 @@ def sections(_: Results[Task], rows: Sequence[Row]) -> Iterator[Section]:
 
 # ------------------------------------------------------------------------------------- the suite
 
-SOURCES: dict[str, tuple[tuple[str, Renderer, int], ...]] = {
-    "full": (
-        ("furnished", "cycles-full", 1),
-        ("furnished", "cycles", 4),
-        ("detailed", "cycles", 2),
-        ("furnished", "own", 3),
-        ("detailed", "own", 3),
-        ("textured", "own", 2),
-        ("room", "own", 1),
-        ("spheres", "own", 1),
-    ),
-    "quick": (("furnished", "own", 1), ("textured", "own", 1)),
-}
+SOURCES = (
+    ("furnished", "cycles-full", 1),
+    ("furnished", "cycles", 4),
+    ("detailed", "cycles", 2),
+    ("furnished", "own", 3),
+    ("detailed", "own", 3),
+    ("textured", "own", 2),
+    ("room", "own", 1),
+    ("spheres", "own", 1),
+)
 """Kinds of scenes, what renders them, and how many of each."""
 
 
@@ -123,7 +120,7 @@ def cases(options: Options) -> list[Task]:
     """All scenes; those by Cycles where it is there."""
     return [
         Task(kind, renderer, seed, options.size, options.pictures, options.sets)
-        for kind, renderer, scenes in SOURCES[options.effort]
+        for kind, renderer, scenes in options.sources
         if renderer == "own" or not cycles.why_not()
         for seed in range(options.first_seed, options.first_seed + scenes)
     ]
@@ -140,6 +137,7 @@ SUITE = Suite(
     sections=sections,
     settings={
         "first_seed": first_seed("scene of a source", 6000),
+        "sources": Setting(SOURCES, (("furnished", "own", 1), ("textured", "own", 1))),
         "size": Setting(512, 256),
         "pictures": Setting(16, 8),
         "sets": Setting(3, 1),
