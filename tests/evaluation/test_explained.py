@@ -21,8 +21,12 @@ from pbrfit.model.lamps import Lamps
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation import cycles, recipes
 from pbrfit_evaluation.arrays import unit
-from pbrfit_evaluation.explained import measure
-from pbrfit_evaluation.explained.measure import (
+from pbrfit_evaluation.grid import Case
+from pbrfit_evaluation.table1 import measure as table1
+from pbrfit_evaluation.table1.measure import ROWS as TABLE1
+from pbrfit_evaluation.transport import measure
+from pbrfit_evaluation.transport.figures import CHOICES
+from pbrfit_evaluation.transport.measure import (
     LAMPS,
     OF_GEOMETRY,
     ROWS,
@@ -30,10 +34,6 @@ from pbrfit_evaluation.explained.measure import (
     lamps_off,
     told,
 )
-from pbrfit_evaluation.grid import Case
-from pbrfit_evaluation.table1 import measure as table1
-from pbrfit_evaluation.table1.measure import ROWS as TABLE1
-from pbrfit_evaluation.transport.figures import CHOICES
 from scene_files import known, run
 
 SIZE = 24

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from pbrfit.result.options import FitOptions
-from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.arrays import Array, Floats, known
@@ -289,10 +288,14 @@ def run(case: Case, _: int) -> dict[str, Any]:
     refine = FitOptions().refine_normals
     result, found = measured(case, GRID.ways[case.way], scene, 1, refine_normals=refine)
     true_fov = FOV_TRUE if case.condition.startswith("fov") else FOV_WRONG
+    found_albedo, albedo = (
+        of.albedo[scene.valid] for of in (result.materials, known(scene.truth).materials)
+    )
+    deviations = known(result.uncertainty).albedo_scale
     return {
         **found,
         "refined": result.refinement.refined,
-        "scale": scales(result, scene),
+        "scale": scale_errors(found_albedo, albedo, deviations),
         "fov": {
             "degrees": result.fov,
             "error": abs(result.fov - true_fov),
@@ -300,14 +303,6 @@ def run(case: Case, _: int) -> dict[str, Any]:
             "contradicted": result.camera is not None and result.camera.contradicted,
         },
     }
-
-
-def scales(result: Result, scene: Scene) -> dict[str, dict[str, float]]:
-    """`scale_errors` of a result with an uncertainty and a scene with ground truth."""
-    assert result.uncertainty is not None
-    found, true = result.materials.albedo, known(scene.truth).materials.albedo
-    deviations = result.uncertainty.albedo_scale
-    return scale_errors(found[scene.valid], true[scene.valid], deviations)
 
 
 def scale_errors(

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from pbrfit_evaluation.explained.measure import LAMPS, run
 from pbrfit_evaluation.grid.figures import Metrics, Of, grid_rows, sheets
 from pbrfit_evaluation.options import count, several
 from pbrfit_evaluation.scores import MAPS
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
 from pbrfit_evaluation.suite import Column, Row, Section, Suite, Table
+from pbrfit_evaluation.transport.measure import LAMPS, run
 
 
 def rows(results: Of) -> list[Row]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.random import Generator
@@ -181,7 +181,8 @@ class Compared:
     def block_error(self, block: slice) -> float:
         """Of a block of the gradient, relative to its norm."""
         true = self.true.gradient[block]
-        return ratio(_norm(self.gradient[block] - true), _norm(true))
+        off = np.linalg.norm(self.gradient[block] - true)
+        return ratio(float(off), float(np.linalg.norm(true)))
 
     def entry_error(self, block: slice, least: float = 0.0) -> float:
         """Worst entry of a block, relative to its natural scale plus `least`."""
@@ -207,10 +208,6 @@ def worst_entry(errors: Array, scale: Array) -> float:
     relative = np.divide(errors, scale, out=np.full_like(errors, np.inf), where=scale > 0)
     relative[(errors == 0) & (scale == 0)] = 0
     return float(relative.max())
-
-
-def _norm(values: Array) -> float:
-    return float(np.linalg.norm(values))
 
 
 def _exact_sum(parts: list[Array]) -> Array:
@@ -317,28 +314,20 @@ def random_case(rng: Generator, pixels: int, pictures: int) -> Case:
     return Case(drawn, lighting, rng.uniform(0, 2, (pictures, pixels, 3)).astype(np.float32))
 
 
-def _with_roughness(center: float, low: float, high: float) -> Change:
+def _with_roughness(center: float, low: float, high: float, rng: Generator, case: Case) -> Case:
     """Roughness within [low, high] of `center`, one pixel in eight exactly on it."""
-
-    def change(rng: Generator, case: Case) -> Case:
-        r = center + rng.uniform(low, high, len(case.pixels))
-        r[::8] = center
-        return replace(case, pixels=replace(case.pixels, roughness=r))
-
-    return change
+    r = center + rng.uniform(low, high, len(case.pixels))
+    r[::8] = center
+    return replace(case, pixels=replace(case.pixels, roughness=r))
 
 
-def grazing(lowest: float, away: int = 0) -> Change:
-    """n·v from 1 to ten to the power of `lowest`; one in `away` faces away."""
-
-    def change(rng: Generator, case: Case) -> Case:
-        cosine = 10.0 ** rng.uniform(lowest, 0, len(case.pixels))
-        if away:
-            cosine[::away] *= -1
-        normals = seen_at(rng, case.pixels.views, cosine)
-        return replace(case, pixels=replace(case.pixels, normals=normals))
-
-    return change
+def grazing(lowest: float, away: int, rng: Generator, case: Case) -> Case:
+    """n·v from 1 to ten to the power of `lowest`; one in `away` faces away, none if 0."""
+    cosine = 10.0 ** rng.uniform(lowest, 0, len(case.pixels))
+    if away:
+        cosine[::away] *= -1
+    normals = seen_at(rng, case.pixels.views, cosine)
+    return replace(case, pixels=replace(case.pixels, normals=normals))
 
 
 def _on_bounds(rng: Generator, case: Case) -> Case:
@@ -350,16 +339,12 @@ def _on_bounds(rng: Generator, case: Case) -> Case:
     return replace(case, pixels=pixels)
 
 
-def scaled(low: float, high: float) -> Change:
+def scaled(low: float, high: float, rng: Generator, case: Case) -> Case:
     """Pictures of different exposure, log-uniform between low and high."""
-
-    def change(rng: Generator, case: Case) -> Case:
-        scale = np.exp(rng.uniform(np.log(low), np.log(high), (len(case.lighting), 1, 1)))
-        scale[0], scale[-1] = low, high
-        images = (case.images * scale).astype(np.float32)
-        return Case(case.pixels, case.lighting * scale, images)
-
-    return change
+    scale = np.exp(rng.uniform(np.log(low), np.log(high), (len(case.lighting), 1, 1)))
+    scale[0], scale[-1] = low, high
+    images = (case.images * scale).astype(np.float32)
+    return Case(case.pixels, case.lighting * scale, images)
 
 
 def _dark_channel(_: Generator, case: Case) -> Case:
@@ -370,26 +355,26 @@ def _dark_channel(_: Generator, case: Case) -> Case:
     return Case(case.pixels, lighting, images)
 
 
-_AT_ALL_ANGLES = grazing(-7, away=8)
+_AT_ALL_ANGLES = partial(grazing, -7, 8)
 """From facing the camera to beyond the clamp."""
 
 
 def _everything(rng: Generator, case: Case) -> Case:
-    for change in (_AT_ALL_ANGLES, _on_bounds, scaled(1e-6, 1e6), _dark_channel):
+    for change in (_AT_ALL_ANGLES, _on_bounds, partial(scaled, 1e-6, 1e6), _dark_channel):
         case = change(rng, case)
     return case
 
 
 KINDS: Mapping[str, Change] = {
     "random": lambda _, case: case,
-    "r near 0": _with_roughness(0.0, 0.0, NEAR),
-    "r near 1": _with_roughness(1.0, -NEAR, 0.0),
-    "r across 0.4": _with_roughness(0.4, -NEAR, NEAR),
+    "r near 0": partial(_with_roughness, 0.0, 0.0, NEAR),
+    "r near 1": partial(_with_roughness, 1.0, -NEAR, 0.0),
+    "r across 0.4": partial(_with_roughness, 0.4, -NEAR, NEAR),
     "n·v from 1 to 10⁻⁷, or negative": _AT_ALL_ANGLES,
     "ρ, r, m exactly 0 or 1": _on_bounds,
-    "lights × 10⁻⁶": scaled(1e-6, 1e-6),
-    "lights × 10⁶": scaled(1e6, 1e6),
-    "lights × 10⁻⁶ … 10⁶ in one problem": scaled(1e-6, 1e6),
+    "lights × 10⁻⁶": partial(scaled, 1e-6, 1e-6),
+    "lights × 10⁶": partial(scaled, 1e6, 1e6),
+    "lights × 10⁻⁶ … 10⁶ in one problem": partial(scaled, 1e-6, 1e6),
     "blue dark": _dark_channel,
     "grazing, on bounds, mixed lights, blue dark": _everything,
 }
