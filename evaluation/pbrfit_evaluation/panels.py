@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -18,7 +18,7 @@ from pbrfit.result.relighting import relight
 from pbrfit.result.result import Result
 from pbrfit.result.sheet import Panel, Row, displayed, outside_grey, sheet
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.arrays import Array, Floats
+from pbrfit_evaluation.arrays import Array, Floats, known
 
 
 def of_maps(of: Materials, before: str = "") -> dict[str, Floats]:
@@ -38,8 +38,7 @@ def of_result(
     Beside them the first of the given pictures. `scaled`: albedo and light after the best factor a
     channel, as exposures of the pictures are not known.
     """
-    truth = scene.truth
-    assert truth is not None
+    truth = known(scene.truth)
     valid = scene.valid[..., None]
     materials = result.materials
     if scaled:
@@ -81,17 +80,13 @@ def in_lines(kept: Mapping[str, Mapping[str, Floats]]) -> bytes:
     return encode_png(sheet(grid, labels=list(kept)), "srgb")
 
 
-def beside_truth(
-    kept: Mapping[str, Mapping[str, Floats]], names: Sequence[str], *more: str
-) -> bytes:
-    """PNG of panels of some names by label, below the true ones, called "true NAME", and `more`.
-
-    Others that a label has beyond these are at the end of its line.
-    """
+def beside_truth(kept: Mapping[str, Mapping[str, Floats]]) -> bytes:
+    """PNG of panels by label, below the picture and the true ones, which are called "true NAME"."""
     first = next(iter(kept.values()))
-    shown = {"truth": {name: first[f"true {name}"] for name in names}}
-    shown["truth"] |= {name: first[name] for name in more}
-    hidden = {*more, *(f"true {name}" for name in names)}
+    true = {name.removeprefix("true "): of for name, of in first.items() if "true " in name}
+    shown = {"truth": true | {"picture": first["picture"]}}
     for label, panels in kept.items():
-        shown[label] = {name: of for name, of in panels.items() if name not in hidden}
+        shown[label] = {
+            name: of for name, of in panels.items() if name != "picture" and "true " not in name
+        }
     return in_lines(shown)

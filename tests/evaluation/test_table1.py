@@ -1,20 +1,16 @@
-"""The Table 1 suite: simulated normals, rows, the command end to end."""
+"""The Table 1 suite: what fits are given, and its rows."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from evaluation_tasks import recorded
-from pbrfit.model.geometry import angles_between
 from pbrfit.model.reflection import DEFAULT_MODEL, MODELS
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
-from pbrfit_evaluation.estimator_errors import LOWEST_COSINE, as_estimated, estimated_normals
 from pbrfit_evaluation.scores import SCORES
 from pbrfit_evaluation.table1 import measure
 from pbrfit_evaluation.table1.figures import rows
@@ -32,41 +28,6 @@ def given(row: str, **more: Any) -> Scene:
     """What a fit is given of a row's scene."""
     of = case(row, **more)
     return measure.as_given(measure.room(of, 1), of)
-
-
-def errors_of(size: int, seed: int) -> NDArray[np.float64]:
-    scene = make_scene("room", size=size, lights=2, held_out=1, seed=seed)
-    rng = np.random.default_rng(seed)
-    found = as_estimated(scene.normals, scene.views, known(scene.segments), rng)
-    np.testing.assert_allclose(np.linalg.norm(found, axis=-1), 1.0, rtol=1e-12)
-    facing = np.einsum("...i,...i->...", found, scene.views)
-    assert facing.min() >= 0.9 * LOWEST_COSINE
-    return angles_between(found, scene.normals)
-
-
-def test_simulated_normals_err_as_published_estimators_do() -> None:
-    """Of DSINE on NYUv2: mean 16.4, median 8.4 degrees; 60 % within 11.25, 84 % within 30."""
-    off = np.concatenate([errors_of(64, seed).ravel() for seed in range(200, 212)])
-    assert 12 <= off.mean() <= 18
-    assert 7 <= np.median(off) <= 11
-    assert 0.5 <= np.mean(off < 11.25) <= 0.7
-    assert 0.8 <= np.mean(off < 30) <= 0.9
-
-
-def test_normals_that_nobody_knows_spoil_no_others() -> None:
-    whole = make_scene("room", size=32, lights=2, held_out=1, seed=3)
-    unknown = np.zeros(whole.normals.shape[:2], bool)
-    unknown[::3, ::2] = True
-    masked = replace(
-        whole,
-        mask=~unknown,
-        normals=np.where(unknown[..., None], np.nan, whole.normals),
-        truth=None,
-    )
-    of_all, found = (estimated_normals(scene, 3) for scene in (whole, masked))
-    np.testing.assert_array_equal(np.isnan(found).all(axis=-1), unknown)
-    assert np.isfinite(of_all).all()
-    assert np.median(angles_between(found, of_all)[~unknown]) < 2.0
 
 
 @pytest.mark.parametrize("key", ["base", "fov90", "normals", "normals-refined", "detailed"])

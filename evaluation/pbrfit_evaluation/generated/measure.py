@@ -194,8 +194,8 @@ class Handled(Way):
     """Of the pictures."""
     review: bool = False
     """Whether pictures are reviewed first."""
-    normals: str = "true"
-    """"true", or "estimated": with the errors of an estimator, and with a network's depth."""
+    estimated: bool = False
+    """Whether normals have the errors of an estimator, and depth is a network's."""
     path: bool = False
     """Whether commands do it, from files to files."""
     maps: str = ""
@@ -218,13 +218,13 @@ WAYS: Mapping[str, Handled] = {
         "all together, maps of another room", TOGETHER, review=True, maps="another"
     ),
     "estimated": Handled(
-        "all together, estimated normals and depth", REFINED, review=True, normals="estimated"
+        "all together, estimated normals and depth", REFINED, review=True, estimated=True
     ),
     "estimated-maps": Handled(
         "all together, estimated normals and depth, a network's maps",
         REFINED,
         review=True,
-        normals="estimated",
+        estimated=True,
         maps="own",
     ),
     "exact-handled": Handled("exact pictures: all together", TOGETHER, level="exact", review=True),
@@ -243,7 +243,7 @@ def by_cycles(options: Options) -> bool:
 
 def why_not(options: Options, key: str, _: str) -> str:
     """Why a way cannot be run; empty if it can."""
-    lacks = WAYS[key].normals == "estimated" and not by_cycles(options)
+    lacks = WAYS[key].estimated and not by_cycles(options)
     return "rooms by our renderer have no depth" if lacks else ""
 
 
@@ -278,7 +278,7 @@ def run(case: Case, threads: int) -> Values:
     else:
         if way.review:
             kept = reviewed(pictures)
-        if way.normals == "estimated":
+        if way.estimated:
             wrong = disturbed(scene, "estimator", NORMALS_OFF, case.seed)
             scene = replace(scene, normals=wrong, depth=estimated_depth(known(depth), case.seed))
         scene = given(scene, pictures[kept], as_files=way.level != "exact")

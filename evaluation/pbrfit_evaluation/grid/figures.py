@@ -106,7 +106,5 @@ def pictures(
     found = []
     for sheet, of in sheets.items():
         kept = {labels[key]: unpacked(of[key]["maps"]) for key in labels if key in of}
-        first = next(iter(kept.values()))
-        shown = [one.removeprefix("true ") for one in first if one.startswith("true ")]
-        found.append(Picture(sheet, caption, beside_truth(kept, shown, "picture")))
+        found.append(Picture(sheet, caption, beside_truth(kept)))
     return found

@@ -56,8 +56,6 @@ class Source:
 class PublicSet:
     """A set that can be had from its authors."""
 
-    kind: str
-    """Name of its folder."""
     find: Callable[[Path], list[Source]]
     """Sources in its folder."""
     write: Callable[[Source, Path], None]
@@ -100,7 +98,7 @@ Normals = Callable[[Path, Sequence[Path]], tuple[Floats, Mask]]
 """Normals of a set and the pixels that have one, from its folder and its pictures."""
 
 
-def _files(kind: str, pattern: str, normals: Normals, settings: str = "") -> PublicSet:
+def _files(pattern: str, normals: Normals, settings: str = "") -> PublicSet:
     """A set of one source, whose pictures are files."""
 
     def find(folder: Path) -> list[Source]:
@@ -115,7 +113,7 @@ def _files(kind: str, pattern: str, normals: Normals, settings: str = "") -> Pub
             shutil.copy(path, folder / "images")
         _write_rest(folder, found, valid, f"fov = 0\n{settings}")
 
-    return PublicSet(kind, find, write)
+    return PublicSet(find, write)
 
 
 def _shrek_normals(folder: Path, _: Sequence[Path]) -> tuple[Floats, Mask]:
@@ -207,19 +205,16 @@ def _write_rest(folder: Path, normals: Floats, valid: Mask, settings: str) -> No
 
 
 SETS: dict[str, PublicSet] = {
-    one.kind: one
-    for one in (
-        # rendered bunny, glossy and matt: github.com/yasumat/RobustPhotometricStereo, its .npy
-        # pictures in one .npz a material, as `images`
-        PublicSet("bunny_ps", _find_arrays, _write_arrays),
-        # rendered figure and ball: github.com/visiont3lab/photometric_stereo, .bmp files as .png
-        _files("visiont3lab_shrek", "*[0-9].png", _shrek_normals),
-        _files("visiont3lab_ball3", "*[0-9].png", _ball_normals),
-        # rendered brick sphere: github.com/maxcrous/photometric-stereo, as .png
-        _files("maxcrous_sphere_color", "Sphere_*.png", _brick_normals, 'color_space = "linear"\n'),
-        # photographs of rooms under a flash (Murmann et al. 2019)
-        PublicSet(ROOMS, _find_rooms, _write_room),
-    )
+    # rendered bunny, glossy and matt: github.com/yasumat/RobustPhotometricStereo, its .npy
+    # pictures in one .npz a material, as `images`
+    "bunny_ps": PublicSet(_find_arrays, _write_arrays),
+    # rendered figure and ball: github.com/visiont3lab/photometric_stereo, .bmp files as .png
+    "visiont3lab_shrek": _files("*[0-9].png", _shrek_normals),
+    "visiont3lab_ball3": _files("*[0-9].png", _ball_normals),
+    # rendered brick sphere: github.com/maxcrous/photometric-stereo, as .png
+    "maxcrous_sphere_color": _files("Sphere_*.png", _brick_normals, 'color_space = "linear"\n'),
+    # photographs of rooms under a flash (Murmann et al. 2019)
+    ROOMS: PublicSet(_find_rooms, _write_room),
 }
 """By name of the folder."""
 

@@ -106,8 +106,9 @@ def why_not(options: Options, condition: str, way: str) -> str:
 
     A peer is loaded to find out, and stays for `work` in this process.
     """
-    if condition == "cycles" and (options.quick or cycles.why_not()):
-        return "--quick leaves Cycles out" if options.quick else cycles.why_not() or ""
+    lacks = "--quick leaves Cycles out" if options.quick else cycles.why_not()
+    if condition == "cycles" and lacks:
+        return lacks
     if way not in PEERS:
         return ""
     peer = _loaded(way, getattr(options, way), options.device, options.longer_side)
