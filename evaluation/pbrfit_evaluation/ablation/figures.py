@@ -102,8 +102,6 @@ def _held(results: Of) -> Table:
     return Table(["priors", *groups, "demands held"], lines)
 
 
-# ------------------------------------------------------------------------------------- the suite
-
 FIRST_SEED = 3000
 """Priors were designed and their weights chosen on seeds 2000 to 2099; none from 3000 on ever
 served for that."""

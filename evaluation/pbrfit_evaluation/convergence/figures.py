@@ -7,14 +7,12 @@ import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from pbrfit._core import InputError
 from pbrfit.commands.arguments import choice, value
 from pbrfit.commands.fit_options import MODEL_OF_PICTURES
 from pbrfit.model.reflection import MODELS
 from pbrfit_evaluation.convergence.measure import (
     CASES,
     QUANTITIES,
-    Budget,
     Case,
     Point,
     Quantity,
@@ -22,22 +20,11 @@ from pbrfit_evaluation.convergence.measure import (
     first_reached,
     median_reached,
 )
-from pbrfit_evaluation.convergence.solvers import SOLVERS, Task, asked, run
-from pbrfit_evaluation.heldout.sources import find_sources
-from pbrfit_evaluation.jobs import Values, digest_of_files
+from pbrfit_evaluation.convergence.solvers import SOLVERS, Task, asked, run, tasks
+from pbrfit_evaluation.jobs import Values
 from pbrfit_evaluation.options import Setting, count, fixed, several
 from pbrfit_evaluation.plots import draw, dress, mark, panels, png
-from pbrfit_evaluation.suite import (
-    Column,
-    Options,
-    Picture,
-    Results,
-    Row,
-    Section,
-    Suite,
-    Table,
-    Verdict,
-)
+from pbrfit_evaluation.suite import Column, Picture, Results, Row, Section, Suite, Table, Verdict
 
 PLOTTED: tuple[Quantity, ...] = ("recon", "relight")
 
@@ -222,43 +209,6 @@ def speed(of: Runs, solver: str, rivals: Sequence[Sequence[Point]]) -> tuple[flo
     if not reached:
         soonest = max(points[-1]["seconds"] for points in rivals)
     return soonest / seconds(of[solver]), reached
-
-
-# ------------------------------------------------------------------------------------- the suite
-
-FIRST_SEED = 100
-"""Seeds below 100 and from 200 on were used to choose constants, of this package and of peers."""
-
-MOST_SEEDS = 100
-
-
-def tasks(options: Options) -> list[Task]:
-    """All runs that are possible here, those of a seed one after the other.
-
-    So a run that is broken off and resumed with fewer seeds is complete in those. `options.seconds`
-    is where any run is cut off. On a quiet machine of two cores almost none is: iterations and
-    evaluations are the limits, so that only a busy one makes results depend on its speed.
-
-    Raises InputError if there are too many seeds, or not one set of real pictures where there
-    should be.
-    """
-    if options.seeds > MOST_SEEDS:
-        raise InputError(f"--seeds: expected at most {MOST_SEEDS}, found {options.seeds}")
-    inputs = ""
-    if options.real is not None:
-        if not options.real.is_dir() or len(find_sources(options.real)) != 1:
-            raise InputError(
-                f"{options.real}: expected a folder of one view's pictures, found none"
-            )
-        inputs = digest_of_files(options.real)
-    budget = Budget(options.iterations, options.evaluations, options.seconds)
-    return [
-        Task(case, solver.name, FIRST_SEED + i, budget, inputs if case.folder else "")
-        for i in range(options.seeds)
-        for case in chosen(options)
-        for solver in asked(options)
-        if not solver.why_not(case.model)
-    ]
 
 
 SUITE = Suite(

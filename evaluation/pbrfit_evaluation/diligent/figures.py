@@ -188,8 +188,6 @@ def _mat(values: Mapping[str, Any]) -> bytes:
     return file.getvalue()
 
 
-# ------------------------------------------------------------------------------------- the suite
-
 PICTURES = (4, 8, 16, 24, 32, 96)
 """Pictures of an object that are fitted."""
 

@@ -149,8 +149,6 @@ def sections(results: Of, of_rows: Sequence[Row]) -> Iterator[Section]:
     yield from sheets("Maps", results, labels, caption, "everyday-maps", by="condition")
 
 
-# ------------------------------------------------------------------------------------- the suite
-
 SUITE = Suite(
     name="everyday",
     title="Everyday pictures",

@@ -9,10 +9,10 @@ import numpy as np
 
 from pbrfit.commands.arguments import value, whole_number
 from pbrfit_evaluation.arrays import Array
-from pbrfit_evaluation.gap.measure import COMPARED, MATERIALS, Case, run
+from pbrfit_evaluation.gap.measure import COMPARED, MATERIALS, Case, cases, run
 from pbrfit_evaluation.options import Setting, fixed
 from pbrfit_evaluation.plots import CELL, draw, dress, heat_map, panels, png
-from pbrfit_evaluation.suite import Options, Picture, Results, Row, Section, Suite, Table, Value
+from pbrfit_evaluation.suite import Picture, Results, Row, Section, Suite, Table, Value
 
 NAMES = [material.name for material in MATERIALS]
 
@@ -99,16 +99,7 @@ def _maps(ratios: Mapping[str, Array], n_dot_v: Sequence[float], r: Sequence[flo
     return png(figure)
 
 
-# ------------------------------------------------------------------------------------- the suite
-
 TENTHS = tuple(round(0.1 * i, 1) for i in range(1, 11))
-
-
-def cases(options: Options) -> list[Case]:
-    """A case for each roughness of the table."""
-    return [
-        Case(r, options.n_dot_v, options.rings, options.lights, options.seed) for r in options.r
-    ]
 
 
 SUITE = Suite(

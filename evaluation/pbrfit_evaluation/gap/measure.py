@@ -33,6 +33,7 @@ from pbrfit.synthetic.lights import random_lights
 from pbrfit_evaluation.arrays import Array
 from pbrfit_evaluation.gap import brute_force, principled
 from pbrfit_evaluation.gap.brute_force import view
+from pbrfit_evaluation.suite import Options
 
 
 class Response(Protocol):
@@ -192,3 +193,10 @@ def _weights(model: Model, r: float, n_dot_v: Sequence[float]) -> tuple[Array, A
     found = [model(r, x) for x in n_dot_v]
     weights = [one.weights(ALBEDO, METALLIC) for one in found]
     return np.stack(weights, axis=1), np.array([one.error for one in found])
+
+
+def cases(options: Options) -> list[Case]:
+    """A case for each roughness of the table."""
+    return [
+        Case(r, options.n_dot_v, options.rings, options.lights, options.seed) for r in options.r
+    ]

@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from pbrfit._core import InputError
-from pbrfit.acquire.photo import LEAST_SIDE
-from pbrfit_evaluation.generated.measure import GRID, PICTURED, WAYS, by_cycles, run
-from pbrfit_evaluation.grid import Case
+from pbrfit_evaluation.generated.measure import GRID, PICTURED, WAYS, by_cycles, cases, run
 from pbrfit_evaluation.grid.figures import Metrics, Of, grid_rows, pictures
 from pbrfit_evaluation.options import count
 from pbrfit_evaluation.panels import in_lines, unpacked
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
-from pbrfit_evaluation.suite import Column, Options, Picture, Row, Section, Suite, Table
+from pbrfit_evaluation.suite import Column, Picture, Row, Section, Suite, Table
 
 ERRORS = ("albedo_scaled", "roughness", "metallic", "relight_scaled")
 
@@ -59,23 +56,6 @@ def _pictures(results: Of) -> Iterator[Picture]:
     labels = {key: WAYS[key].words for key in PICTURED}
     caption = "The first room; relit by the first held-out light."
     yield from pictures(results, labels, caption, by="condition")
-
-
-# ------------------------------------------------------------------------------------- the suite
-
-
-def cases(options: Options) -> list[Case]:
-    """Every room in every way; by Cycles where it is there and wanted.
-
-    Raises InputError if there are too few pictures for each kind of damage, or they are too small
-    for a photograph.
-    """
-    if options.pictures < 6:
-        raise InputError(f"--pictures: expected at least 6, found {options.pictures}")
-    if options.size < LEAST_SIDE:
-        raise InputError(f"--size: expected at least {LEAST_SIDE}, found {options.size}")
-    kind = "cycles" if by_cycles(options) else "own"
-    return [replace(case, kind=kind, lights=options.pictures) for case in GRID.cases(options)]
 
 
 SUITE = Suite(

@@ -19,6 +19,8 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from PIL import Image
 
+from pbrfit._core import InputError
+from pbrfit.acquire.photo import LEAST_SIDE
 from pbrfit.acquire.review import Reviewer
 from pbrfit.cli import main
 from pbrfit.export.lights import write_lights
@@ -402,3 +404,17 @@ def inputs(pictures: Array, kinds: Sequence[str]) -> dict[str, Floats]:
     for i, kind in enumerate(kinds[1:], start=1):
         first.setdefault("tones alone" if kind == "honest" else kind, i)
     return {name: codes(pictures[i]) / 255 for name, i in first.items()}
+
+
+def cases(options: Options) -> list[Case]:
+    """Every room in every way; by Cycles where it is there and wanted.
+
+    Raises InputError if there are too few pictures for each kind of damage, or they are too small
+    for a photograph.
+    """
+    if options.pictures < 6:
+        raise InputError(f"--pictures: expected at least 6, found {options.pictures}")
+    if options.size < LEAST_SIDE:
+        raise InputError(f"--size: expected at least {LEAST_SIDE}, found {options.size}")
+    kind = "cycles" if by_cycles(options) else "own"
+    return [replace(case, kind=kind, lights=options.pictures) for case in GRID.cases(options)]

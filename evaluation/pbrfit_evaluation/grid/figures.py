@@ -78,6 +78,13 @@ def of_bars(results: Of, bars: Iterable[Bar]) -> Iterator[Verdict]:
             yield Verdict(bar.what, value, bar.most, where, part=bar.part)
 
 
+def of_most(what: str, held: Mapping[int, float], least: int, part: str = "") -> Verdict:
+    """How many scenes hold, by seed, of which it has to be at least so many."""
+    missed = [str(seed) for seed, good in held.items() if not good]
+    where = f"not: {', '.join(missed)}" if missed else ""
+    return Verdict(what, len(held) - len(missed), least, where, at_least=True, part=part)
+
+
 def sheets(
     title: str,
     results: Of,

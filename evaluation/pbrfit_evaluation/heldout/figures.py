@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,21 +10,10 @@ from typing import Any
 
 from pbrfit.report.html import Cell
 from pbrfit_evaluation.heldout.light import Score, relative_error
-from pbrfit_evaluation.heldout.measure import WAYS, Task, run
-from pbrfit_evaluation.heldout.sources import Source, asked_sources
-from pbrfit_evaluation.jobs import digest_of_files
+from pbrfit_evaluation.heldout.measure import WAYS, Task, cases, run
+from pbrfit_evaluation.heldout.sources import Source
 from pbrfit_evaluation.options import count, several
-from pbrfit_evaluation.suite import (
-    Options,
-    Results,
-    Row,
-    Section,
-    Suite,
-    Table,
-    Value,
-    Verdict,
-    digits,
-)
+from pbrfit_evaluation.suite import Results, Row, Section, Suite, Table, Value, Verdict, digits
 
 MEAN_REGRET, WORST_REGRET = 1.05, 1.25
 """Bars of the default's regret: geometric mean over sets, and any set."""
@@ -191,26 +179,6 @@ def _by_way(of_sets: Sequence[OfSet]) -> Table:
     means = [geometric_mean(of) if len(of) == len(of_sets) else None for of in all_of.values()]
     lines.append([f"geometric mean of {len(of_sets)} sets", *means])
     return Table(["set", *(WAYS[way].words for way in ways)], lines)
-
-
-# ------------------------------------------------------------------------------------- the suite
-
-
-def cases(options: Options) -> list[Task]:
-    """All folds of all sources, in every way.
-
-    Raises InputError or FileNotFoundError if there are no pictures, or two sources have one name.
-    """
-    of = options.held_out, options.folds, options.pictures, options.max_size
-    return [
-        Task(source, way, fold, digest, *of)
-        for source in asked_sources(options.folders, os.environ)
-        for digest in [digest_of_files(source.folder)]
-        for count in [min(source.pictures, options.pictures)]
-        for fold in range(max(1, min(options.folds, count // options.held_out)))
-        for way in WAYS
-        if way in options.ways
-    ]
 
 
 SUITE = Suite(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
@@ -24,10 +25,11 @@ from pbrfit_evaluation.arrays import Array, Mask, known
 from pbrfit_evaluation.estimator_errors import angle_errors
 from pbrfit_evaluation.heldout.baselines import Baseline, explained_by_kept
 from pbrfit_evaluation.heldout.light import ambient_terms, explained_by
-from pbrfit_evaluation.heldout.sources import Opened, Source, evenly, opened
-from pbrfit_evaluation.jobs import Values
+from pbrfit_evaluation.heldout.sources import Opened, Source, asked_sources, evenly, opened
+from pbrfit_evaluation.jobs import Values, digest_of_files
 from pbrfit_evaluation.panels import packed
 from pbrfit_evaluation.recipes import PAPER, Way
+from pbrfit_evaluation.suite import Options
 
 
 @dataclass(frozen=True)
@@ -249,3 +251,20 @@ def _mapped(found: Array | None, true: Array | None) -> dict[str, Any]:
         off = angles_between(found, true) / LARGEST_SHOWN
         kept["error"] = packed({"error": outside_grey(np.clip(off, 0.0, 1.0))})
     return kept
+
+
+def cases(options: Options) -> list[Task]:
+    """All folds of all sources, in every way.
+
+    Raises InputError or FileNotFoundError if there are no pictures, or two sources have one name.
+    """
+    of = options.held_out, options.folds, options.pictures, options.max_size
+    return [
+        Task(source, way, fold, digest, *of)
+        for source in asked_sources(options.folders, os.environ)
+        for digest in [digest_of_files(source.folder)]
+        for count in [min(source.pictures, options.pictures)]
+        for fold in range(max(1, min(options.folds, count // options.held_out)))
+        for way in WAYS
+        if way in options.ways
+    ]

@@ -8,15 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from pbrfit._core import InputError
 from pbrfit.commands.arguments import value
-from pbrfit_evaluation.grid import Case
-from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, by_seed, grid_rows, of_bars
+from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, by_seed, grid_rows, of_bars, of_most
 from pbrfit_evaluation.normals.measure import (
     DISTURBANCES,
     PARTS,
     REFINE,
     TRUE,
+    cases,
     grid_of,
     is_exact,
     run,
@@ -25,7 +24,7 @@ from pbrfit_evaluation.normals.measure import (
 from pbrfit_evaluation.options import Setting, count, first_seed, several, threads
 from pbrfit_evaluation.plots import draw, dress, mark, panels, png
 from pbrfit_evaluation.scores import MAPS
-from pbrfit_evaluation.suite import Options, Picture, Row, Section, Suite, Table, Verdict
+from pbrfit_evaluation.suite import Picture, Row, Section, Suite, Table, Verdict
 
 MAPS_AND_RELIGHT = (*MAPS, "relight")
 METRICS = ("recon", *MAPS_AND_RELIGHT)
@@ -101,15 +100,8 @@ def verdicts(results: Of, _: object) -> Iterator[Verdict]:
     for condition, title in grid_of(results.options).conditions.items():
         back = by_seed(results, condition, "on", "came_back") if is_exact(condition) else {}
         if back:
-            missed = [str(seed) for seed, came in back.items() if not came]
-            yield Verdict(
-                f"{title}: scenes of {len(back)} that came back",
-                len(back) - len(missed),
-                math.floor(MOST * len(back)) + 1,
-                f"not: {', '.join(missed)}" if missed else "",
-                at_least=True,
-                part="exact",
-            )
+            what = f"{title}: scenes of {len(back)} that came back"
+            yield of_most(what, back, math.floor(MOST * len(back)) + 1, "exact")
 
 
 def _of_rooms(results: Of) -> Iterator[Verdict]:
@@ -179,21 +171,6 @@ def _room_plot(results: Of) -> Picture:
         dress(axes, "θ of the disturbance, degrees", f"{kind}: error", title)
     caption = "Means over scenes; bands from the 10th to the 90th percentile of scenes."
     return Picture("normals", caption, png(figure))
-
-
-# ------------------------------------------------------------------------------------- the suite
-
-LARGEST = 45.0
-"""Degrees of a disturbance, at most."""
-
-
-def cases(options: Options) -> list[Case]:
-    """Scenes under every disturbance that is asked for; InputError if a size makes no sense."""
-    for theta in options.degrees:
-        if not 0 < theta <= LARGEST:
-            expected = f"expected more than 0 and at most {LARGEST:g}"
-            raise InputError(f"--degrees: {expected}, found {theta:g}")
-    return grid_of(options).cases(options)
 
 
 SUITE = Suite(

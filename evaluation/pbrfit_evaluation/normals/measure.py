@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
+from pbrfit._core import InputError
 from pbrfit.model.geometry import angles_between
 from pbrfit.result.refinement import CHOICES
 from pbrfit.scene.scene import Scene
@@ -179,3 +180,16 @@ def came_back(values: dict[str, Any]) -> bool:
     """Whether materials and normals of a scene are what they were."""
     maps = max(values["scores"][name] for name in MAPS)
     return bool(maps <= MATERIAL and values["angle"]["mean"] <= ANGLE)
+
+
+LARGEST = 45.0
+"""Degrees of a disturbance, at most."""
+
+
+def cases(options: Options) -> list[Case]:
+    """Scenes under every disturbance that is asked for; InputError if a size makes no sense."""
+    for theta in options.degrees:
+        if not 0 < theta <= LARGEST:
+            expected = f"expected more than 0 and at most {LARGEST:g}"
+            raise InputError(f"--degrees: {expected}, found {theta:g}")
+    return grid_of(options).cases(options)

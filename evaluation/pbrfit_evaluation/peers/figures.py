@@ -11,9 +11,9 @@ from pbrfit.commands.arguments import choice, value
 from pbrfit_evaluation.grid.figures import Of, grid_rows, sheets
 from pbrfit_evaluation.options import Setting, count, fixed
 from pbrfit_evaluation.peers import rgbx
-from pbrfit_evaluation.peers.measure import GRID, Task, work
+from pbrfit_evaluation.peers.measure import GRID, cases, work
 from pbrfit_evaluation.scores import PROTOCOL, SCORES
-from pbrfit_evaluation.suite import Column, Options, Row, Section, Suite, Table
+from pbrfit_evaluation.suite import Column, Row, Section, Suite, Table
 
 SHOWN = ("albedo", "albedo_scaled", "roughness", "metallic", "relight", "relight_scaled")
 """Columns of the tables."""
@@ -33,24 +33,6 @@ def sections(results: Of, rows: Sequence[Row]) -> Iterator[Section]:
     yield Section("In short", "RMSE without intervals.", [Table.of(plain, columns)])
     caption = "The first scene: the truth, and what was found."
     yield from sheets("Maps", results, GRID.words, caption)
-
-
-# ------------------------------------------------------------------------------------- the suite
-
-
-def cases(options: Options) -> list[Task]:
-    """Every scene by every method that can run."""
-    return [
-        Task(
-            **vars(case),
-            **{
-                name: getattr(options, name)
-                for name in ("samples", "steps", "longer_side", "device")
-            },
-            checkpoint=getattr(options, case.way, None),
-        )
-        for case in GRID.cases(options)
-    ]
 
 
 SUITE = Suite(

@@ -149,3 +149,18 @@ def _loaded(method: str, model: str | None, device: str, longer_side: int) -> Pe
         return lambda picture, task: rgbx.maps(picture, seed=task.seed, steps=task.steps)
     except InputError as error:
         return str(error)
+
+
+def cases(options: Options) -> list[Task]:
+    """Every scene by every method that can run."""
+    return [
+        Task(
+            **vars(case),
+            **{
+                name: getattr(options, name)
+                for name in ("samples", "steps", "longer_side", "device")
+            },
+            checkpoint=getattr(options, case.way, None),
+        )
+        for case in GRID.cases(options)
+    ]

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 
 from scipy.stats import binomtest
 
-from pbrfit_evaluation import cycles
 from pbrfit_evaluation.options import Setting, first_seed
-from pbrfit_evaluation.review.measure import Task, work
+from pbrfit_evaluation.review.measure import Task, cases, work
 from pbrfit_evaluation.review.pictures import REPAINTS
-from pbrfit_evaluation.suite import Options, Results, Row, Section, Suite, Table, Verdict
+from pbrfit_evaluation.suite import Results, Row, Section, Suite, Table, Verdict
 
 LEAST_CAUGHT = 0.95
 MOST_REFUSED = 0.05
@@ -101,8 +100,6 @@ def sections(_: Results[Task], rows: Sequence[Row]) -> Iterator[Section]:
     yield Section("Rates", "With intervals of 95 %.", [Table.of(rows, columns)])
 
 
-# ------------------------------------------------------------------------------------- the suite
-
 SOURCES = (
     ("furnished", "cycles-full", 1),
     ("furnished", "cycles", 4),
@@ -114,16 +111,6 @@ SOURCES = (
     ("spheres", "own", 1),
 )
 """Kinds of scenes, what renders them, and how many of each."""
-
-
-def cases(options: Options) -> list[Task]:
-    """All scenes; those by Cycles where it is there."""
-    return [
-        Task(kind, renderer, seed, options.size, options.pictures, options.sets)
-        for kind, renderer, scenes in options.sources
-        if renderer == "own" or not cycles.why_not()
-        for seed in range(options.first_seed, options.first_seed + scenes)
-    ]
 
 
 SUITE = Suite(

@@ -16,9 +16,11 @@ import numpy as np
 
 from pbrfit.acquire.review import Reviewer, Verdict
 from pbrfit.synthetic import make_scene
+from pbrfit_evaluation import cycles
 from pbrfit_evaluation.arrays import Array
 from pbrfit_evaluation.jobs import Values
 from pbrfit_evaluation.review.pictures import REPAINTS, Kind, Renderer, camera, damaged, relights
+from pbrfit_evaluation.suite import Options
 
 
 @dataclass(frozen=True)
@@ -113,3 +115,13 @@ def _other_room(task: Task, k: int) -> Array:
     seed = 100_000 + 10 * task.seed + k
     scene = make_scene(task.kind, size=task.size, lights=2, held_out=1, seed=seed)
     return camera(np.asarray(scene.images[0], np.float64))
+
+
+def cases(options: Options) -> list[Task]:
+    """All scenes; those by Cycles where it is there."""
+    return [
+        Task(kind, renderer, seed, options.size, options.pictures, options.sets)
+        for kind, renderer, scenes in options.sources
+        if renderer == "own" or not cycles.why_not()
+        for seed in range(options.first_seed, options.first_seed + scenes)
+    ]

@@ -8,8 +8,8 @@ from pbrfit.commands.arguments import value, whole_number
 from pbrfit_evaluation.arrays import worst
 from pbrfit_evaluation.jobs import Values
 from pbrfit_evaluation.options import Setting, fixed, threads
-from pbrfit_evaluation.stability.sections import SECTIONS, Task, run
-from pbrfit_evaluation.suite import Options, Results, Row, Section, Suite, Table, Verdict
+from pbrfit_evaluation.stability.sections import SECTIONS, Task, cases, run
+from pbrfit_evaluation.suite import Results, Row, Section, Suite, Table, Verdict
 
 
 def worst_of(task: Task, values: Values) -> dict[str, tuple[float, str]]:
@@ -61,14 +61,6 @@ def sections(results: Results[Task], _: Sequence[Row]) -> Iterator[Section]:
         lines = [[name, *(row.get(key) for key in keys)] for name, row in rows.items()]
         table = Table(["", *(key.replace("_", " ") for key in keys)], lines)
         yield Section(task.section.capitalize(), text, [table] if rows else [])
-
-
-# ------------------------------------------------------------------------------------- the suite
-
-
-def cases(options: Options) -> list[Task]:
-    """All sections."""
-    return [Task(section, getattr(options, section), options.seed) for section in SECTIONS]
 
 
 SUITE = Suite(

@@ -16,6 +16,7 @@ from pbrfit_evaluation.jobs import Values
 from pbrfit_evaluation.stability import edges, objective, stiff_fits
 from pbrfit_evaluation.stability.double_precision import ROUNDING
 from pbrfit_evaluation.stability.objective import ALIKE, MANY, ONE_SIGN, RANDOM
+from pbrfit_evaluation.suite import Options
 
 # Of the loss relative to itself, of entries of the gradient relative to their natural scale, of
 # blocks of it relative to their norm, of sums of equal terms.
@@ -204,3 +205,8 @@ def run(task: Task, threads: int) -> Values:
     # Small matrices: more BLAS threads only get into each other's way, and change the last bits.
     with one_blas_thread():
         return section.measure(rng, threads, *task.sizes)
+
+
+def cases(options: Options) -> list[Task]:
+    """All sections."""
+    return [Task(section, getattr(options, section), options.seed) for section in SECTIONS]

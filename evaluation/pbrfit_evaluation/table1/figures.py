@@ -6,18 +6,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from pbrfit._core import InputError
 from pbrfit.commands.arguments import choice, value
 from pbrfit.model.reflection import MODELS, Model
 from pbrfit_evaluation.grid.figures import Of, grid_rows, sheets
-from pbrfit_evaluation.jobs import digest_of_files
 from pbrfit_evaluation.options import BOTH, count, fixed, models
 from pbrfit_evaluation.plots import dots
-from pbrfit_evaluation.rooms.textures import load_textures
 from pbrfit_evaluation.scores import PROTOCOL, SCORES
-from pbrfit_evaluation.suite import Column, Options, Picture, Section, Suite, Table, Value, digits
+from pbrfit_evaluation.suite import Column, Picture, Section, Suite, Table, Value, digits
 from pbrfit_evaluation.suite import Row as Figures
-from pbrfit_evaluation.table1.measure import COLUMNS, GRID, ROWS, WAYS, Case, run
+from pbrfit_evaluation.table1.measure import COLUMNS, GRID, MOST_SCENES, ROWS, WAYS, cases, run
 
 EXACT = 1e-6
 """RMSE below which a map is as good as the rounding of its pictures lets it be."""
@@ -86,36 +83,9 @@ def _shown(value: float | None) -> str:
     return "exact" if value < EXACT else digits(value)
 
 
-# ------------------------------------------------------------------------------------- the suite
-
-MOST_SCENES = 100
-
 FIRST_SEED = 1000
 """Seeds below 400 served to design scenes and simulated normals and to tune the solver; none from
 here on ever did."""
-
-
-def cases(options: Options) -> list[Case]:
-    """The scenes of every row that can be run, for every model, those of a seed together.
-
-    So a run that is broken off and resumed with fewer scenes is complete in those.
-
-    Raises InputError if an option is out of range or a folder is not there.
-    """
-    if options.scenes > MOST_SCENES:
-        raise InputError(f"--scenes: expected at most {MOST_SCENES}, found {options.scenes}")
-    textures, digest = options.textures, ""
-    if textures is not None:
-        if not textures.is_dir():
-            raise InputError(f"{textures}: expected a folder, found none")
-        load_textures(textures)  # what is wrong with them should show before the work
-        textures, digest = textures.resolve(), digest_of_files(textures)
-    found = []
-    for case in GRID.cases(options):
-        detailed = ROWS[case.condition].scene == "detailed"
-        inputs = {"textures": textures, "inputs": digest} if detailed else {}
-        found.append(Case(**vars(case), **inputs))
-    return sorted(found, key=lambda case: case.seed)
 
 
 SUITE = Suite(

@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from pbrfit._core import InputError
 from pbrfit.model.lamps import Lamps
 from pbrfit.result.refinement import RefineNormals
 from pbrfit.scene.scene import Scene
@@ -21,6 +22,7 @@ from pbrfit_evaluation import cycles, grid
 from pbrfit_evaluation.arrays import known
 from pbrfit_evaluation.estimator_errors import estimated_normals
 from pbrfit_evaluation.grid import Grid, measured
+from pbrfit_evaluation.jobs import digest_of_files
 from pbrfit_evaluation.recipes import DEFAULT, GUESS, OTHER, PAPER, PAPER_REGULARIZED, Way
 from pbrfit_evaluation.rooms.textures import MaterialSet, load_textures
 from pbrfit_evaluation.suite import Options
@@ -227,3 +229,29 @@ def as_given(scene: Scene, case: Case) -> Scene:
     if row.normals == "predicted":
         scene = replace(scene, normals=estimated_normals(scene, case.seed))
     return scene if row.fov == scene.fov else replace(scene, fov=row.fov)
+
+
+MOST_SCENES = 100
+
+
+def cases(options: Options) -> list[Case]:
+    """The scenes of every row that can be run, for every model, those of a seed together.
+
+    So a run that is broken off and resumed with fewer scenes is complete in those.
+
+    Raises InputError if an option is out of range or a folder is not there.
+    """
+    if options.scenes > MOST_SCENES:
+        raise InputError(f"--scenes: expected at most {MOST_SCENES}, found {options.scenes}")
+    textures, digest = options.textures, ""
+    if textures is not None:
+        if not textures.is_dir():
+            raise InputError(f"{textures}: expected a folder, found none")
+        load_textures(textures)  # what is wrong with them should show before the work
+        textures, digest = textures.resolve(), digest_of_files(textures)
+    found = []
+    for case in GRID.cases(options):
+        detailed = ROWS[case.condition].scene == "detailed"
+        inputs = {"textures": textures, "inputs": digest} if detailed else {}
+        found.append(Case(**vars(case), **inputs))
+    return sorted(found, key=lambda case: case.seed)

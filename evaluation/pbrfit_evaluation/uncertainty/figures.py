@@ -162,8 +162,6 @@ def _expected(results: Of) -> Picture:
     return Picture("verdicts", caption, png(figure))
 
 
-# ------------------------------------------------------------------------------------- the suite
-
 SUITE = Suite(
     name="uncertainty",
     title="Is the uncertainty right?",
