@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pbrfit.commands.arguments import choice
 from pbrfit.commands.fit_options import MODEL_OF_PICTURES
 from pbrfit.model.reflection import DEFAULT_MODEL, MODELS
-from pbrfit_evaluation.ablation.measure import FEW, GRID, WAYS, run
+from pbrfit_evaluation.ablation.measure import GRID, WAYS, run
 from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, grid_rows, of_bars, ratios, sheets
 from pbrfit_evaluation.options import count, fixed
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
@@ -75,8 +75,7 @@ def sections(results: Of, rows: Sequence[Row]) -> Iterator[Section]:
     )
     yield Section("Errors", "Mean RMSE.", [Table.of(rows)])
     caption = "The first room: the truth, and what was recovered."
-    labels = {key: WAYS[key].words for key in FEW}
-    yield from sheets("The first room", results, labels, caption, "room")
+    yield from sheets("The first room", results, GRID, caption, "room")
 
 
 def _held(results: Of) -> Table:

@@ -13,22 +13,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from pbrfit.commands.arguments import (
-    DONE,
-    SOME_FAILED,
-    UNUSABLE,
-    Subcommands,
-    add_cluster,
-    add_flags,
-    add_jobs,
-    add_out,
-    add_quiet,
-    complain,
-    progress_bar,
-    switch,
-    unread_is_no_failure,
-    value,
-)
+from pbrfit.commands import arguments as cli
 
 if TYPE_CHECKING:
     from pbrfit_evaluation.jobs import Record, Values
@@ -55,7 +40,7 @@ SUITES = {
 """Summaries by name; `pbrfit_evaluation.NAME.figures.SUITE` is the suite."""
 
 
-def add_suites(suites: Subcommands) -> None:
+def add_suites(suites: cli.Subcommands) -> None:
     """Add them all to `pbrfit evaluate`."""
     for name, summary in SUITES.items():
         suites.add_parser(name, help=summary, complete=partial(_complete, name))
@@ -68,31 +53,31 @@ def _complete(name: str, parser: argparse.ArgumentParser) -> None:
         f"{suite.about[0]} Writes report.html with its plots, {name}.md, CSV files and "
         "summary.json. Exit code 1 if something does not hold."
     )
-    add_out(parser, "folder to write")
+    cli.add_out(parser, "folder to write")
     resume = "go on with an earlier run: what it finished with the same options and code is kept"
-    add_flags(parser, resume=switch(resume))
+    cli.add_flags(parser, resume=cli.switch(resume))
     default = suite.jobs or os.cpu_count() or 1
     on_cluster = "" if suite.timed else "; on a cluster one for each worker"
-    add_jobs(
+    cli.add_jobs(
         parser,
         f"cases at the same time, each in a process of its own (default: {default}{on_cluster})",
     )
     if suite.timed:
         parser.add_argument("--cluster", type=_refused, help=argparse.SUPPRESS)
     else:
-        add_cluster(parser)
-    add_quiet(parser)
+        cli.add_cluster(parser)
+    cli.add_quiet(parser)
     if suite.folders:
         said = f"{suite.folders} (default: the folder that the variable PBRFIT_DATA names)"
         parser.add_argument("folders", metavar="FOLDER", nargs="*", type=Path, help=said)
     for name, setting in suite.settings.items():
         if setting.flag is not None:
-            add_flags(parser, **{setting.name or name: {**setting.flag, "dest": name}})
+            cli.add_flags(parser, **{setting.name or name: {**setting.flag, "dest": name}})
     docs = "documentation of a checkout: bring its tables and plots of this suite up to date"
-    add_flags(
+    cli.add_flags(
         parser,
-        quick=switch("few and small scenes, what takes minutes left out"),
-        docs=value("DIR", Path, docs),
+        quick=cli.switch("few and small scenes, what takes minutes left out"),
+        docs=cli.value("DIR", Path, docs),
     )
     parser.set_defaults(command=partial(run, suite))
 
@@ -122,15 +107,15 @@ def run(suite: Suite[Any], options: argparse.Namespace) -> int:
     if options.docs is not None:
         evidence.publish(options.docs, suite.name, options.out)
     if not options.quiet:
-        with unread_is_no_failure():
+        with cli.unread_is_no_failure():
             print("\n".join(report.lines(found)))
             print(f"\nLook at {options.out / report.PAGE}")
     failed = [record.key for record in found.failed]
     if failed:
-        complain(f"{len(failed)} of {len(cases)} failed: {', '.join(failed)}")
-        return SOME_FAILED if len(failed) < len(cases) else UNUSABLE
+        cli.complain(f"{len(failed)} of {len(cases)} failed: {', '.join(failed)}")
+        return cli.SOME_FAILED if len(failed) < len(cases) else cli.UNUSABLE
     held = all(verdict.holds for verdict in found.verdicts)
-    return DONE if held else SOME_FAILED
+    return cli.DONE if held else cli.SOME_FAILED
 
 
 def _do(run: Callable[[Any, int], Values], asked: int, case: Any, threads: int) -> Values:
@@ -141,7 +126,7 @@ def _measure(suite: Suite[Any], todo: list[Any], options: argparse.Namespace) ->
     """Run cases with a progress bar; tell failures as they come, those of one reason once."""
     from pbrfit_evaluation import jobs
 
-    with progress_bar(len(todo), quiet=options.quiet, unit="case") as bar:
+    with cli.progress_bar(len(todo), quiet=options.quiet, unit="case") as bar:
         done = 0  # bar.n stays 0 where no bar is shown
         told: set[str] = set()
 
@@ -153,7 +138,7 @@ def _measure(suite: Suite[Any], todo: list[Any], options: argparse.Namespace) ->
             if record.error is not None and record.error not in told:
                 told.add(record.error)
                 with bar.external_write_mode():
-                    complain(f"{record.key}: {record.error}")
+                    cli.complain(f"{record.key}: {record.error}")
 
         try:
             return jobs.run(

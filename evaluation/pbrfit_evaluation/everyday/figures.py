@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from pbrfit_evaluation.everyday.measure import DISTURBANCES, GRID, PICTURED, covered, run
+from pbrfit_evaluation.everyday.measure import DISTURBANCES, GRID, covered, run
 from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, grid_rows, of_bars, sheets
 from pbrfit_evaluation.options import count
 from pbrfit_evaluation.scores import MAPS
@@ -144,9 +144,8 @@ def sections(results: Of, of_rows: Sequence[Row]) -> Iterator[Section]:
         "deviations.",
         [Table.of(of_rows)],
     )
-    labels = {name: GRID.conditions[name] for name in PICTURED}
     caption = "One scene: a picture, the maps that were found, and the true ones in the first row."
-    yield from sheets("Maps", results, labels, caption, "everyday-maps", by="condition")
+    yield from sheets("Maps", results, GRID, caption, "everyday-maps", by="condition")
 
 
 SUITE = Suite(

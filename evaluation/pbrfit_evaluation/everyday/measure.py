@@ -267,14 +267,11 @@ def read_back(scene: Scene, write: Write | None = None, *, say_fov: bool = True)
 
 CHANNELS = ("red", "green", "blue")
 
-PICTURED = ("noise", "jpeg-90-420", "jpeg-75-420", "clipped", "shifted")
-"""Disturbances whose maps are shown."""
-
 GRID = Grid(
     {key: one.title for key, one in DISTURBANCES.items()},
     brings={key: (REFERENCE, one.twin) for key, one in DISTURBANCES.items()},
     kinds=KINDS,
-    pictured=PICTURED,
+    pictured=("noise", "jpeg-90-420", "jpeg-75-420", "clipped", "shifted"),
     few=tuple(name for name in DISTURBANCES if "444" not in name and "75" not in name),  # JPEG once
 )
 

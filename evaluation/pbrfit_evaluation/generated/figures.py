@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from pbrfit_evaluation.generated.measure import GRID, PICTURED, WAYS, by_cycles, cases, run
+from pbrfit_evaluation.generated.measure import GRID, WAYS, by_cycles, cases, run
 from pbrfit_evaluation.grid.figures import Metrics, Of, grid_rows, pictures
 from pbrfit_evaluation.options import count
 from pbrfit_evaluation.panels import in_lines, unpacked
@@ -53,9 +53,8 @@ def _pictures(results: Of) -> Iterator[Picture]:
         most = max(shown, key=lambda values: len(set(values["kinds"])))
         panels = in_lines({"": unpacked(most["inputs"])})
         yield Picture("inputs", "Stand-ins of the first room.", panels)
-    labels = {key: WAYS[key].words for key in PICTURED}
     caption = "The first room; relit by the first held-out light."
-    yield from pictures(results, labels, caption, by="condition")
+    yield from pictures(results, GRID.conditions, caption, by="condition")
 
 
 SUITE = Suite(

@@ -234,9 +234,6 @@ WAYS: Mapping[str, Handled] = {
 }
 """By key; words are those of tables."""
 
-PICTURED = ("exact", "repainted", "together", "maps", "path")
-"""Ways whose maps are shown."""
-
 
 def by_cycles(options: Options) -> bool:
     """Whether Cycles renders the rooms: where it is there, but for a quick look."""
@@ -251,7 +248,7 @@ def why_not(options: Options, key: str, _: str) -> str:
 
 GRID = Grid(
     {key: way.words for key, way in WAYS.items()},
-    pictured=PICTURED,
+    pictured=("exact", "repainted", "together", "maps", "path"),
     few=("constant", "exact", "repainted", "together", "maps", "path"),
     why_not=why_not,
 )

@@ -86,14 +86,10 @@ def of_most(what: str, held: Mapping[int, float], least: int, part: str = "") ->
 
 
 def sheets(
-    title: str,
-    results: Of,
-    labels: Mapping[str, str],
-    caption: str,
-    name: str = "maps",
-    by: str = "way",
+    title: str, results: Of, grid: Grid, caption: str, name: str = "maps", by: str = "way"
 ) -> Iterator[Section]:
     """A section of sheets of maps, where cases are pictured; see `pictures`."""
+    labels = grid.words if by == "way" else grid.conditions
     if found := pictures(results, labels, caption, name, by):
         yield Section(title, figures=found)
 

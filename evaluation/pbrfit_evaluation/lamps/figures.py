@@ -38,7 +38,7 @@ def sections(results: Of, found: Sequence[Row]) -> Iterator[Section]:
         [Table.of(found, columns)],
     )
     caption = "The first room: the truth, and what was found. White is 1."
-    yield from sheets("Maps", results, LAMPS.words, caption)
+    yield from sheets("Maps", results, LAMPS, caption)
 
 
 SUITE = Suite(

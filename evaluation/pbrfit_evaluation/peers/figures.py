@@ -32,7 +32,7 @@ def sections(results: Of, rows: Sequence[Row]) -> Iterator[Section]:
     plain = [replace(row, metrics={one: row.metrics.get(one) for one in SHOWN}) for row in rows]
     yield Section("In short", "RMSE without intervals.", [Table.of(plain, columns)])
     caption = "The first scene: the truth, and what was found."
-    yield from sheets("Maps", results, GRID.words, caption)
+    yield from sheets("Maps", results, GRID, caption)
 
 
 SUITE = Suite(

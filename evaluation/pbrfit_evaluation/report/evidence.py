@@ -15,7 +15,6 @@ those rows, with the nameless ones below each. A test fails where page and summa
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,7 +24,7 @@ from types import MappingProxyType
 from typing import Any
 
 from pbrfit._core import InputError
-from pbrfit.io.json_files import write_json
+from pbrfit.io.json_files import read_json, write_json
 from pbrfit_evaluation.report import markdown, write_summary
 from pbrfit_evaluation.suite import Row, Table
 
@@ -80,7 +79,7 @@ def publish(docs: Path, name: str, folder: Path) -> None:
     """
     if not docs.is_dir():
         raise InputError(f"{docs}: expected the documentation's folder, found none")
-    summary = _public(json.loads((folder / "summary.json").read_text(encoding="utf-8")))
+    summary = _public(read_json(folder / "summary.json", "a summary"))
     texts = {page: page.read_text(encoding="utf-8") for page in pages(docs)}
     filled = {page: _filled(page, text, name, summary) for page, text in texts.items()}
     to = docs / FOLDER
@@ -177,8 +176,7 @@ def read(docs: Path, name: str) -> Mapping[str, Any]:
     path = docs / FOLDER / f"{name}.json"
     if not path.is_file():
         raise InputError(f"{path}: expected the summary of {name}, found none")
-    content: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    return content
+    return dict(read_json(path, f"the summary of {name}"))
 
 
 def provenance(summary: Mapping[str, Any]) -> str:

@@ -55,7 +55,7 @@ def sections(results: Of, rows: Sequence[Figures]) -> Iterator[Section]:
         [_in_short(rows, model) for model in models(results.options)],
     )
     caption = "The first scene: the truth, and what was found."
-    yield from sheets("Examples", results, GRID.words, caption)
+    yield from sheets("Examples", results, GRID, caption)
 
 
 def _in_short(rows: Sequence[Figures], model: Model) -> Table:

@@ -33,7 +33,7 @@ def sections(results: Of, found: Sequence[Row]) -> Iterator[Section]:
     columns = [*(Column(name, best="low") for name in ERRORS), *map(Column, rest)]
     yield Section("Errors", "RMSE, linear values.", [Table.of(found, columns)])
     caption = "The first room: the truth, and what was found. White is 1."
-    yield from sheets("Maps", results, GEOMETRY.words, caption)
+    yield from sheets("Maps", results, GEOMETRY, caption)
 
 
 SUITE = Suite(
