@@ -160,14 +160,7 @@ def render_scene(
     )
 
 
-def true_lamps(
-    world: World,
-    size: int = 128,
-    fov: float = 60.0,
-    *,
-    lights: int = 16,
-    seed: int = 0,
-) -> Lamps:
+def true_lamps(world: World, size: int, fov: float, *, lights: int, seed: int) -> Lamps:
     """The lamps that `render_scene` with `light="points"` and the same arguments puts into a room.
 
     One a picture, near, in camera space and metres; colours are left unknown, for each picture has
