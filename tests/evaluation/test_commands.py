@@ -27,7 +27,7 @@ COMMANDS: dict[str, tuple[tuple[Any, ...], int, set[str]]] = {
     "convergence": (("--quick",), 0, {"points.csv", "recon.png", "relight.png"}),
     "everyday": ((*TINY, "--disturbances", "shifted", "fov-wrong"), 4, {"everyday-maps.png"}),
     "gap": (("--quick",), 5, {"albedo.png", "ratio.png", "spheres.png"}),
-    "generated": (("--quick",), 5, {"inputs.png", "maps.png"}),
+    "generated": (("--quick",), 6, {"inputs.png", "maps.png"}),
     "lamps": (("--quick",), 0, set()),
     "normals": (
         (*TINY, "--degrees", 20, "--iterations", 3, "--disturbances", "biased"),
