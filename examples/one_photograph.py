@@ -21,8 +21,7 @@ from pbrfit.io import images
 from pbrfit.io.color import encode_srgb
 from pbrfit.io.output import FolderForm, new_folder
 from pbrfit.synthetic import make_scene
-from pbrfit_evaluation.review.damage import Kind, damaged
-from pbrfit_evaluation.review.pictures import relights
+from pbrfit_evaluation.review.pictures import Kind, damaged, relights
 
 SEED = 2003
 PICTURES = 12
@@ -63,7 +62,7 @@ def write_pictures(folder: Path, size: int) -> None:
     view = relights("furnished", "own", SEED, size=size, count=PICTURES + 1)
     rng = np.random.default_rng(SEED)
     (folder / "relit").mkdir()
-    for i, picture in enumerate(view.pictures):
+    for i, picture in enumerate(view.images):
         shown = picture
         if i in DAMAGES:
             shown, _ = damaged(picture, DAMAGES[i], view.segments, rng)

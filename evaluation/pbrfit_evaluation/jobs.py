@@ -15,7 +15,7 @@ import logging
 import os
 import secrets
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache, partial
@@ -162,13 +162,13 @@ def _save(records: Path, task: Task, record: Record) -> None:
             temporary.unlink(missing_ok=True)
 
 
-def digest_of_files(folder: Path, paths: Iterable[Path] | None = None) -> str:
-    """sha256 of names and contents of files: of all below a folder, or of some of them.
+def digest_of_files(folder: Path) -> str:
+    """sha256 of names and contents of all files below a folder.
 
     A task that holds it is done again when its input changes.
     """
     digest = hashlib.sha256()
-    for path in sorted(folder.rglob("*") if paths is None else paths):
+    for path in sorted(folder.rglob("*")):
         if path.is_file():
             digest.update(path.relative_to(folder).as_posix().encode() + b"\0")
             digest.update(hashlib.sha256(path.read_bytes()).digest())

@@ -1,89 +1,75 @@
-"""Options that suites declare, and those that several share."""
+"""Settings of suites: what each is with `--quick` and without, and its option."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable
-from pathlib import Path
+from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Any
 
-from pbrfit.commands.arguments import positive, whole_number
+from pbrfit.commands import arguments
+from pbrfit.commands.arguments import Flag, choice, positive, value, whole_number
 from pbrfit.model.reflection import MODELS, Model
-
-Add = Callable[[argparse.ArgumentParser], object]
-"""Adds an option to a parser."""
 
 BOTH = "both"
 """Value of `--model` for every model, one after the other."""
 
 
-def option(*flags: str, **settings: Any) -> Add:
-    """One option as data; settings as of `argparse.ArgumentParser.add_argument`."""
-    return lambda parser: parser.add_argument(*flags, **settings)
+@dataclass(frozen=True)
+class Setting:
+    """A size, a count, or whatever else a suite depends on."""
+
+    full: Any
+    quick: Any
+    """`full` and `quick`: without `--quick` and with it."""
+    flag: Flag | None = None
+    """The option, without a default of its own; None = there is none."""
+    name: str = ""
+    """Of the option, where it is not that of the setting."""
 
 
-def count(flag: str, metavar: str, what: str, **settings: Any) -> Add:
-    """A whole number above 0; without a default it is that of the suite's `effort`."""
-    return option(flag, metavar=metavar, type=positive, help=what, **settings)
+def fixed(full: Any, flag: Flag) -> Setting:
+    """One that `--quick` does not change."""
+    said = f"{flag['help']} (default: {full})" if full not in (None, False) else flag["help"]
+    return Setting(full, full, {**flag, "help": said})
+
+
+def count(metavar: str, what: str, full: int, quick: int | None = None) -> Setting:
+    """A whole number above 0."""
+    quick = full if quick is None else quick
+    less = f", with --quick {quick}" if quick != full else ""
+    return Setting(full, quick, value(metavar, positive, f"{what} (default: {full}{less})"))
 
 
 def several(
-    flag: str,
     metavar: str,
     choices: Iterable[str],
     few: Iterable[str] = (),
     *,
+    default: Iterable[str] = (),
     what: str = "only these",
-    default: str = "all",
-    **settings: Any,
-) -> Add:
-    """Some of several names, `default` in words; `few` are those of `--quick`."""
+    name: str = "",
+) -> Setting:
+    """Some of several names, all by default; `few` are those of `--quick`."""
     names = tuple(choices)
-    default += f", with --quick {', '.join(few)}" if few else ""
-    told = f"{what} (default: {default}): {', '.join(names)}"
-    return option(flag, metavar=metavar, nargs="+", choices=names, help=told, **settings)
+    full = tuple(default) or names
+    quick = tuple(few) or full
+    told = ", ".join(full) if full != names else "all"
+    told += f", with --quick {', '.join(quick)}" if quick != full else ""
+    flag = choice(names, f"{what} (default: {told}): {', '.join(names)}", metavar=metavar)
+    return Setting(full, quick, {**flag, "nargs": "+"}, name)
 
 
-def first_seed(of: str, untuned: int | None = None) -> Add:
-    """`--first-seed`, that of the first `of`.
-
-    The default is `untuned`, from which on no seed served to choose anything; without it, that of
-    the suite's `effort`.
-    """
-    said = f"of the first {of}"
-    if untuned is not None:
-        said += " (default: %(default)s; nothing was tuned on seeds from there on)"
-    return option("--first-seed", metavar="SEED", type=whole_number, default=untuned, help=said)
+def first_seed(of: str, untuned: int) -> Setting:
+    """That of the first `of`; no seed from there on served to choose anything."""
+    said = f"of the first {of}; nothing was tuned on seeds from the default on"
+    return fixed(untuned, value("SEED", whole_number, said))
 
 
-def model_option(what: str) -> Add:
-    """`--model` of a suite that can do both; `models` reads it."""
-    return option(
-        "--model",
-        choices=(*MODELS, BOTH),
-        default=BOTH,
-        help=f"what {what}, of `pbrfit decompose --model` (default: %(default)s)",
-    )
+threads = Setting(0, 0, arguments.THREADS)
+"""`run` gets as many as are asked for."""
 
 
 def models(options: argparse.Namespace) -> tuple[Model, ...]:
     """Those that `--model` asks for."""
     return MODELS if options.model == BOTH else (options.model,)
-
-
-cycles_cache = option(
-    "--cycles-cache",
-    metavar="DIR",
-    type=Path,
-    help="where renders by Blender Cycles are kept (default: the user's cache folder)",
-)
-
-
-def folders(what: str) -> Add:
-    """`FOLDER ...`, for pictures that are on this machine."""
-    return option("folders", metavar="FOLDER", nargs="*", type=Path, help=what)
-
-
-def absolute(path: Path | None) -> Path | None:
-    """A path that means the same to every process."""
-    return None if path is None else path.resolve()

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from pbrfit.io.images import encode_png
@@ -19,9 +18,10 @@ from pbrfit.result.relighting import relight
 from pbrfit.result.result import Result
 from pbrfit.result.sheet import Panel, Row, displayed, outside_grey, sheet
 from pbrfit.scene.scene import Scene
+from pbrfit_evaluation.arrays import Array, Floats, known
 
 
-def of_maps(of: Materials, before: str = "") -> dict[str, NDArray[np.floating[Any]]]:
+def of_maps(of: Materials, before: str = "") -> dict[str, Floats]:
     """Albedo, roughness and metallic for the screen, by name with something before it."""
     return {
         f"{before}albedo": displayed(of.albedo),
@@ -32,14 +32,13 @@ def of_maps(of: Materials, before: str = "") -> dict[str, NDArray[np.floating[An
 
 def of_result(
     result: Result, scene: Scene, threads: int, *, scaled: bool = False
-) -> dict[str, NDArray[np.floating[Any]]]:
+) -> dict[str, Floats]:
     """Maps that were found and true ones, and the first held-out picture, relit and as it is.
 
     Beside them the first of the given pictures. `scaled`: albedo and light after the best factor a
     channel, as exposures of the pictures are not known.
     """
-    truth = scene.truth
-    assert truth is not None
+    truth = known(scene.truth)
     valid = scene.valid[..., None]
     materials = result.materials
     if scaled:
@@ -57,21 +56,21 @@ def of_result(
     return panels
 
 
-def packed(panels: Mapping[str, NDArray[np.floating[Any]]]) -> dict[str, Any]:
+def packed(panels: Mapping[str, Floats]) -> dict[str, Any]:
     """(H, W, 3) values in [0, 1] by name, for JSON; `unpacked` undoes it, to 8 bits."""
     side_by_side = np.concatenate([np.clip(of, 0, 1) for of in panels.values()], axis=1)
     png = encode_png((255 * side_by_side + 0.5).astype(np.uint8), "srgb")
     return {"names": list(panels), "png": base64.b64encode(png).decode("ascii")}
 
 
-def unpacked(kept: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:
+def unpacked(kept: Mapping[str, Any]) -> dict[str, Array]:
     """(H, W, 3) values in [0, 1] by name."""
     with Image.open(io.BytesIO(base64.b64decode(kept["png"]))) as image:
         pixels = np.asarray(image.convert("RGB")) / 255
     return dict(zip(kept["names"], np.split(pixels, len(kept["names"]), axis=1), strict=True))
 
 
-def in_lines(kept: Mapping[str, Mapping[str, NDArray[np.floating[Any]]]]) -> bytes:
+def in_lines(kept: Mapping[str, Mapping[str, Floats]]) -> bytes:
     """PNG of panels by label and name, a line each label; names stand where they are new."""
     told: set[str] = set()
     grid: list[Row] = []
@@ -81,17 +80,13 @@ def in_lines(kept: Mapping[str, Mapping[str, NDArray[np.floating[Any]]]]) -> byt
     return encode_png(sheet(grid, labels=list(kept)), "srgb")
 
 
-def beside_truth(
-    kept: Mapping[str, Mapping[str, NDArray[np.floating[Any]]]], names: Sequence[str], *more: str
-) -> bytes:
-    """PNG of panels of some names by label, below the true ones, called "true NAME", and `more`.
-
-    Others that a label has beyond these are at the end of its line.
-    """
+def beside_truth(kept: Mapping[str, Mapping[str, Floats]]) -> bytes:
+    """PNG of panels by label, below the picture and the true ones, which are called "true NAME"."""
     first = next(iter(kept.values()))
-    shown = {"truth": {name: first[f"true {name}"] for name in names}}
-    shown["truth"] |= {name: first[name] for name in more}
-    hidden = {*more, *(f"true {name}" for name in names)}
+    true = {name.removeprefix("true "): of for name, of in first.items() if "true " in name}
+    shown = {"truth": true | {"picture": first["picture"]}}
     for label, panels in kept.items():
-        shown[label] = {name: of for name, of in panels.items() if name not in hidden}
+        shown[label] = {
+            name: of for name, of in panels.items() if name != "picture" and "true " not in name
+        }
     return in_lines(shown)

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.fit.decompose import Start, decompose
@@ -18,17 +17,7 @@ from pbrfit.model.reflection import Model, chosen_model, render
 from pbrfit.result.options import Priors
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
-
-Array = NDArray[np.float64]
-
-T = TypeVar("T")
-
-
-def known(value: T | None) -> T:
-    """A value that synthetic scenes always have, such as their truth and its lights."""
-    assert value is not None
-    return value
-
+from pbrfit_evaluation.arrays import Array, Floats, Mask, known
 
 OTHER: dict[Model, Model] = {"paper": "principled", "principled": "paper"}
 """By a model the one that it is not."""
@@ -59,10 +48,10 @@ def lit_anew(scene: Scene, materials: Materials, lighting: Array, relight_lighti
     return replace(scene, images=exposure * images, truth=truth)
 
 
-def within(maps: Materials, valid: NDArray[np.bool_]) -> Materials:
+def within(maps: Materials, valid: Mask) -> Materials:
     """Maps that were found as the materials of a scene: in [0, 1], NaN outside of `valid`."""
 
-    def kept(plane: NDArray[np.floating[Any]]) -> Array:
+    def kept(plane: Floats) -> Array:
         where = valid if plane.ndim == 2 else valid[..., None]
         return np.where(where, np.clip(plane.astype(np.float64), 0, 1), np.nan)
 

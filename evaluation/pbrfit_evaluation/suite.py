@@ -2,18 +2,18 @@
 
 How to add a suite `speed`:
 
-1. A package `pbrfit_evaluation/speed` whose `__init__.py` has `SUITE = Suite("speed", ...)`, and a
+1. A package `pbrfit_evaluation/speed` whose `figures.py` has `SUITE = Suite("speed", ...)`, and a
    line in `commands.SUITES` with its name and summary. That gives `pbrfit evaluate speed` with
    `--out`, `--overwrite`, `--resume`, `--jobs`, `--cluster`, `--quiet` and `--quick`.
 2. `cases(options)` returns frozen dataclasses that can be pickled, with a `key` that is unique and
    fit for a file; their `repr` says all that the result depends on. It checks the options, too.
 3. `run(case, threads)` measures one, in any process, and returns values that JSON can hold. They
    are kept in `records/KEY.json`; `--resume` uses them again if case and code are the same.
-4. `figures(results)` makes the rows of summary.json from what was finished, which may be nothing.
+4. `rows(results)` makes the rows of summary.json from what was finished, which may be nothing.
 5. `verdicts(results, rows)` says what the figures must be; `sections(results, rows)` is what the
    page shows beside them: tables as data, and PNGs of plots (`plots`) and maps.
-6. Sizes and counts stand in `effort`: name -> (full, with `--quick`); an option of the same name
-   takes precedence. Files named `figures.py` do not count as code that records depend on.
+6. Sizes and counts are `settings`, each with its option (`options`). Files named `figures.py` do
+   not count as code that records depend on.
 
 Suites of scenes whose truth is known are scenes × conditions × ways: `grid` has their cases, rows,
 bars and sheets.
@@ -35,19 +35,18 @@ import numpy as np
 from pbrfit.report.html import Cell
 from pbrfit.report.notation import scientific
 from pbrfit_evaluation.jobs import Record, Task, Values
+from pbrfit_evaluation.options import Setting
 
 Options = argparse.Namespace
-"""As given on the command line, with `effort` filled in; `options.effort` is "full" or "quick"."""
+"""As given on the command line, settled: `options.effort` is "full" or "quick"."""
 
 
 C = TypeVar("C", bound=Task)
+C_co = TypeVar("C_co", bound=Task, covariant=True)
 """A case: what is measured at a time."""
 
 
 # ------------------------------------------------------------------------------ what is measured
-
-CONFIDENCE = 0.95
-RESAMPLES = 2000
 
 
 @dataclass(frozen=True)
@@ -80,8 +79,8 @@ def mean_with_interval(values: Iterable[float]) -> Mean:
     found = bootstrap(
         (finite,),
         np.mean,
-        n_resamples=RESAMPLES,
-        confidence_level=CONFIDENCE,
+        n_resamples=2000,
+        confidence_level=0.95,
         method="percentile",
         rng=np.random.default_rng(0),
     )
@@ -90,13 +89,13 @@ def mean_with_interval(values: Iterable[float]) -> Mean:
 
 
 @dataclass(frozen=True)
-class Results(Generic[C]):
-    """Cases of a part with their records, in the order of the cases."""
+class Results(Generic[C_co]):
+    """Cases of a suite with their records, in the order of the cases."""
 
     options: Options
-    pairs: Sequence[tuple[C, Record]]
+    pairs: Sequence[tuple[C_co, Record]]
 
-    def of(self, **facts: object) -> Results[C]:
+    def of(self, **facts: object) -> Results[C_co]:
         """Those of the cases whose attributes have these values."""
         same = [
             (case, record)
@@ -106,7 +105,7 @@ class Results(Generic[C]):
         return Results(self.options, same)
 
     @property
-    def finished(self) -> list[tuple[C, Values]]:
+    def finished(self) -> list[tuple[C_co, Values]]:
         """Cases that ended well, with what they found."""
         return [(case, record.values) for case, record in self.pairs if record.values is not None]
 
@@ -140,7 +139,7 @@ class Results(Generic[C]):
         found = self.numbers(*path)
         return sum(found) / len(found) if found else math.nan
 
-    def over(self, other: Results[C], name: str) -> float:
+    def over(self, other: Results[Any], name: str) -> float:
         """Mean score over that of others, of seeds that both have; NaN without any, or over 0."""
         one, two = (
             {vars(case)["seed"]: values["scores"][name] for case, values in of.finished}
@@ -199,7 +198,7 @@ class Verdict:
     """What else belongs to the figure: where the worst was found, why the bar is what it is."""
     at_least: bool = False
     part: str = ""
-    """Of the suite; by default that whose verdict it is."""
+    """Of what it judges, where that has several."""
 
     @property
     def holds(self) -> bool:
@@ -239,12 +238,9 @@ class Table:
 
     columns: Sequence[str]
     rows: Sequence[Sequence[Value]]
-    caption: str = ""
 
     @classmethod
-    def of(
-        cls, rows: Sequence[Row], columns: Sequence[Column | str] = (), caption: str = ""
-    ) -> Table:
+    def of(cls, rows: Sequence[Row], columns: Sequence[Column | str] = ()) -> Table:
         """Rows of summary.json as a table, with intervals and what went wrong.
 
         `columns` are metrics, all of them by default. Among rows of one name the best of a column
@@ -270,7 +266,7 @@ class Table:
             line += [figure(row, one, alike) for one in shown]
             line += [Cell("" if row.status == "ok" else row.status, "note")] if status else []
             made.append(line)
-        return cls([*head, "status"] if status else head, made, caption)
+        return cls([*head, "status"] if status else head, made)
 
 
 def figure(row: Row, column: Column, alike: Sequence[Row]) -> Cell | None:
@@ -362,44 +358,7 @@ def _all_rows(_: Any, rows: Sequence[Row]) -> Sequence[Section]:
 
 
 @dataclass(frozen=True)
-class Part(Generic[C]):
-    """A kind of cases of a suite, with what is made of them."""
-
-    name: str
-    """As `--part` names it, where the suite has several."""
-    cases: Callable[[Options], Sequence[C]]
-    run: Callable[[C, int], Values]
-    figures: Callable[[Results[C]], Sequence[Row]]
-    _: KW_ONLY
-    verdicts: Callable[[Results[C], Sequence[Row]], Iterable[Verdict]] = _nothing
-    sections: Callable[[Results[C], Sequence[Row]], Iterable[Section]] = _all_rows
-    """`cases`, `run`, `figures`, `verdicts` and `sections`: see the top of this file."""
-    files: Callable[[Results[C]], Mapping[str, bytes]] = lambda _: {}
-    """Other files than CSV ones, by name."""
-
-    @classmethod
-    def shown_by(
-        cls,
-        module: Any,
-        name: str,
-        cases: Callable[[Options], Sequence[C]],
-        run: Callable[[C, int], Values],
-        before: str = "",
-    ) -> Part[C]:
-        """A part that functions of a module show: `rows`, and such of the others as it has.
-
-        `before` begins their names.
-        """
-
-        def of(what: str) -> Any:
-            return getattr(module, before + what, None)
-
-        shown = {what: found for what in ("verdicts", "sections", "files") if (found := of(what))}
-        return cls(name, cases, run, of("rows"), **shown)
-
-
-@dataclass(frozen=True)
-class Suite:
+class Suite(Generic[C]):
     """A sub-command of `pbrfit evaluate`."""
 
     name: str
@@ -408,16 +367,19 @@ class Suite:
     protocol: str
     """Name and version of how things are measured: results under one name compare. `{size}` and the
     like are replaced by the options."""
-    parts: Sequence[Part[Any]]
-    """With several, `--part` chooses."""
+    cases: Callable[[Options], Sequence[C]]
+    run: Callable[[C, int], Values]
+    rows: Callable[[Results[C]], Sequence[Row]]
     _: KW_ONLY
-    options: Sequence[Callable[[argparse.ArgumentParser], object]] = ()
-    """Functions that add an option to the parser: those of `options`, or such as
-    `pbrfit.commands.arguments.add_threads`. With the latter, `run` gets as many threads as are
-    asked for."""
-    effort: Mapping[str, tuple[Any, Any]] = field(default_factory=dict)
-    """Sizes and counts: name -> (full, with `--quick`). An option of the name that is None is set
-    from here, and its help tells both."""
+    verdicts: Callable[[Results[C], Sequence[Row]], Iterable[Verdict]] = _nothing
+    sections: Callable[[Results[C], Sequence[Row]], Iterable[Section]] = _all_rows
+    """`cases`, `run`, `rows`, `verdicts` and `sections`: see the top of this file."""
+    files: Callable[[Results[C]], Mapping[str, bytes]] = lambda _: {}
+    """Other files than CSV ones, by name."""
+    settings: Mapping[str, Setting] = field(default_factory=dict)
+    """By the names that options have in `cases`."""
+    folders: str = ""
+    """What the folders of pictures are that the command takes; empty = it takes none."""
     about: Sequence[str] = ()
     """Paragraphs at the top of the page, that a reader needs to read the figures; the first, on
     what is measured, is in the help, too."""
@@ -425,6 +387,13 @@ class Suite:
     """Default of `--jobs`; None = one for each processor."""
     timed: bool = False
     """Whether figures are times on this machine, so that no cluster can be used."""
+
+    def settle(self, options: Options) -> None:
+        """Give options what nobody asked for."""
+        options.effort = "quick" if options.quick else "full"
+        for name, setting in self.settings.items():
+            if getattr(options, name, None) is None:
+                setattr(options, name, getattr(setting, options.effort))
 
     def protocol_of(self, options: Options) -> str:
         """The protocol with the options' values in it."""

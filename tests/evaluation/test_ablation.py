@@ -6,35 +6,40 @@ import numpy as np
 import pytest
 
 from evaluation_tasks import recorded
+from pbrfit.model.reflection import DEFAULT_MODEL
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
-from pbrfit_evaluation.ablation import cases, figures
-from pbrfit_evaluation.ablation.cases import TITLES, case
-from pbrfit_evaluation.ablation.measure import GRID
+from pbrfit_evaluation.ablation import figures, measure
+from pbrfit_evaluation.ablation.measure import GRID, TITLES, room
+from pbrfit_evaluation.grid import Case
 from pbrfit_evaluation.grid.figures import Of
-from pbrfit_evaluation.scores import Scores
+from pbrfit_evaluation.scores import SCORES
 from scene_files import known, truth_of
 
 SIZE, SEED = 24, 2000
 
 
-def segments_of(scene: Scene) -> cases.Ids:
+def made(condition: str, size: int) -> Scene:
+    return room(Case(condition, "none", SEED, size, "room", DEFAULT_MODEL))
+
+
+def segments_of(scene: Scene) -> measure.Ids:
     return known(scene.segments)
 
 
 def test_the_constant_room_is_the_room() -> None:
-    made = case("constant", SEED, size=SIZE)
+    scene = made("constant", SIZE)
     plain = make_scene("room", size=SIZE, seed=SEED, noise=0.01)
-    np.testing.assert_allclose(made.images, plain.images, atol=1e-12)
-    np.testing.assert_array_equal(segments_of(made), segments_of(plain))
-    for i in np.unique(segments_of(made)):
-        here = segments_of(made) == i
-        assert len(np.unique(truth_of(made).materials.roughness[here])) == 1
-        assert len(np.unique(truth_of(made).materials.metallic[here])) == 1
+    np.testing.assert_allclose(scene.images, plain.images, atol=1e-12)
+    np.testing.assert_array_equal(segments_of(scene), segments_of(plain))
+    for i in np.unique(segments_of(scene)):
+        here = segments_of(scene) == i
+        assert len(np.unique(truth_of(scene).materials.roughness[here])) == 1
+        assert len(np.unique(truth_of(scene).materials.metallic[here])) == 1
 
 
 def test_roughness_varies_inside_segments_and_nothing_else_does() -> None:
-    scene, plain = case("varying", SEED, size=64), case("constant", SEED, size=64)
+    scene, plain = made("varying", 64), made("constant", 64)
     found, before = truth_of(scene).materials, truth_of(plain).materials
     np.testing.assert_array_equal(found.metallic, before.metallic)
     np.testing.assert_array_equal(found.albedo, before.albedo)
@@ -46,8 +51,8 @@ def test_roughness_varies_inside_segments_and_nothing_else_does() -> None:
             means.append(abs(found.roughness[here].mean() - before.roughness[here].mean()))
     assert len(deviations) >= 10
     assert min(deviations) >= 0.06  # some of a pattern may be clipped
-    assert max(deviations) <= cases.SPREAD[1] + 1e-12
-    assert np.median(deviations) >= cases.SPREAD[0]
+    assert max(deviations) <= measure.SPREAD[1] + 1e-12
+    assert np.median(deviations) >= measure.SPREAD[0]
     assert max(means) < 0.05
 
 
@@ -56,7 +61,7 @@ def rooms_with(errors: dict[str, float], failed: str = "merged") -> Of:
     options = {"first_seed": SEED, "scenes": 2, "size": 8, "model": "paper"}
     pairs = []
     for of in GRID.cases(recorded(**options).options):
-        scores = dict.fromkeys(Scores.__dataclass_fields__, errors.get(of.way, 0.2))
+        scores = dict.fromkeys(SCORES, errors.get(of.way, 0.2))
         broken = of.condition == failed and of.seed > SEED
         pairs.append((of, "MemoryError: too large" if broken else {"scores": scores}))
     return recorded(*pairs, **options)

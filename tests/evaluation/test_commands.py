@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from pbrfit_evaluation import cycles
-from pbrfit_evaluation.ablation.cases import TITLES as ABLATED
+from pbrfit_evaluation.ablation.measure import TITLES as ABLATED
 from scene_files import run
 
 TINY = ("--scenes", 1, "--size", 12)
@@ -27,7 +27,7 @@ COMMANDS: dict[str, tuple[tuple[Any, ...], int, set[str]]] = {
     "convergence": (("--quick",), 0, {"points.csv", "recon.png", "relight.png"}),
     "everyday": ((*TINY, "--disturbances", "shifted", "fov-wrong"), 4, {"everyday-maps.png"}),
     "gap": (("--quick",), 5, {"albedo.png", "ratio.png", "spheres.png"}),
-    "generated": (("--quick",), 5, {"inputs.png", "maps.png"}),
+    "generated": (("--quick",), 6, {"inputs.png", "maps.png"}),
     "lamps": (("--quick",), 0, set()),
     "normals": (
         (*TINY, "--degrees", 20, "--iterations", 3, "--disturbances", "biased"),
@@ -35,7 +35,7 @@ COMMANDS: dict[str, tuple[tuple[Any, ...], int, set[str]]] = {
         {"normals.png"},
     ),
     "peers": ((*TINY, *NOWHERE, "--quick"), 2, {"maps-own.png"}),
-    "review": (("--quick", "--no-cycles"), 2, {"judged.csv"}),
+    "review": (("--quick",), 2, {"judged.csv"}),
     "solvers": ((*TINY, "--quick", "--iterations", 3), 13, set()),
     "stability": (("--quick",), 6, set()),
     "table1": (

@@ -17,15 +17,19 @@ from pbrfit import Materials
 from pbrfit.fit.objective import Objective
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.convergence import figures
-from pbrfit_evaluation.convergence.cases import CASES, Case, make, trial, true_lighting
 from pbrfit_evaluation.convergence.measure import (
+    CASES,
     QUANTITIES,
     Budget,
+    Case,
     Point,
     Tracker,
     first_reached,
+    make,
     measure,
     median_reached,
+    trial,
+    true_lighting,
 )
 from pbrfit_evaluation.convergence.solvers import Task, fit_with_ours
 from pbrfit_evaluation.jobs import Record
@@ -122,7 +126,7 @@ def test_torch_loss_and_gradient_are_ours() -> None:
     pytest.importorskip("torch")
     from pbrfit_evaluation.convergence.torch_peer import Problem
 
-    scene = make(Case("c", 16, 0.01, "typical"), 100)
+    scene = make(Case("c", 16, 0.01), 100)
     objective = Objective(scene, threads=1)
     x = objective.start()
     of_maps = slice(0, 5 * objective.pixels)

@@ -15,24 +15,16 @@ from pbrfit.fit.decompose import decompose
 from pbrfit.io.color import encode_srgb
 from pbrfit.model.reflection import render
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.everyday import disturbances, figures, measure
-from pbrfit_evaluation.everyday.disturbances import (
-    BAD_PICTURE,
-    NOISE,
-    PICTURES,
-    TITLES,
-    Disturbance,
-    disturbed,
-    twin_of,
-)
+from pbrfit_evaluation.everyday import figures, measure
 from pbrfit_evaluation.everyday.figures import MOST
-from pbrfit_evaluation.grid import Case
+from pbrfit_evaluation.everyday.measure import BAD_PICTURE, DISTURBANCES, disturbed
+from pbrfit_evaluation.grid import NOISE, PICTURES, Case
 from scene_files import known, truth_of
 
 SIZE, SEED = 16, 7
 
 
-def made(disturbance: Disturbance, size: int = SIZE) -> Scene:
+def made(disturbance: str, size: int = SIZE) -> Scene:
     return disturbed(disturbance, "room", SEED, size)
 
 
@@ -68,14 +60,14 @@ def test_what_is_not_disturbed_is_the_reference(disturbance: Any, noise: Scene) 
         assert not changed[others()].any()
         assert changed[BAD_PICTURE].mean() > 0.9
     elif disturbance == "hot":
-        assert changed.mean() == pytest.approx(disturbances.HOT_SHARE, rel=0.5)
-        most = disturbances.HOT_RANGE * noise.images.mean()
+        assert changed.mean() == pytest.approx(measure.HOT_SHARE, rel=0.5)
+        most = measure.HOT_RANGE * noise.images.mean()
         assert 0.5 * most < found[changed].max() <= most
     else:
         limit = found.max()
         np.testing.assert_array_equal(found, np.minimum(before, limit))
         if disturbance == "clipped":
-            assert limit == np.float32(disturbances.CLIPPED_AT)
+            assert limit == np.float32(measure.CLIPPED_AT)
         else:
             assert changed.mean() == pytest.approx(0.002, rel=0.1)
 
@@ -85,7 +77,7 @@ def test_files_of_8_bits_clip_the_brightest_half_percent(noise: Scene) -> None:
     assert png.source is not None
     sound = (known(png.limits) == 0).all(axis=-1)
     assert 0 < np.mean(~sound) < 3 * 0.005 + 0.02  # of pixels with a clipped or without a code
-    white = np.quantile(noise.images, disturbances.UNCLIPPED)
+    white = np.quantile(noise.images, measure.UNCLIPPED)
     written = 255 * encode_srgb(noise.images[sound] / white)
     codes = 255 * encode_srgb(png.images[sound])
     np.testing.assert_allclose(codes, np.round(codes), atol=1e-3)
@@ -116,8 +108,8 @@ def found(error: float, seconds: float = 1.0, **more: Any) -> dict[str, Any]:
 def test_each_demand_can_fail() -> None:
     """Errors and seconds by the twin; the field of view; scales, of which two of three hold."""
 
-    def judged(name: Disturbance, of: dict[str, Any]) -> set[str]:
-        pairs = {twin_of(name): found(0.1, 2.0), "noise": found(0.1), name: of}
+    def judged(name: str, of: dict[str, Any]) -> set[str]:
+        pairs = {DISTURBANCES[name].twin: found(0.1, 2.0), "noise": found(0.1), name: of}
         cases = [(Case(at, "default", 1, 16, "room"), values) for at, values in pairs.items()]
         results = recorded(*cases, conditions=pairs)
         verdicts = figures.verdicts(results, figures.rows(results))
@@ -126,7 +118,7 @@ def test_each_demand_can_fail() -> None:
     worst = found(0.1 * MOST["jpeg-75-420"] * 0.999, 2.99)
     assert judged("jpeg-75-420", worst) == set()
     worst["scores"] |= {"roughness": 0.1 * MOST["jpeg-75-420"] * 1.001, "processor": 3.01}
-    beside = f"over {TITLES[twin_of('jpeg-75-420')]}"
+    beside = f"over {DISTURBANCES[DISTURBANCES['jpeg-75-420'].twin].title}"
     assert judged("jpeg-75-420", worst) == {
         f"error of the worst map {beside}", f"processor seconds {beside}",
     }  # fmt: skip

@@ -20,27 +20,26 @@ from pbrfit.fit.decompose import decompose
 from pbrfit.model.lamps import Lamps
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation import cycles, recipes
-from pbrfit_evaluation.explained import measure
-from pbrfit_evaluation.explained.figures import CHOICES
-from pbrfit_evaluation.explained.measure import (
+from pbrfit_evaluation.arrays import unit
+from pbrfit_evaluation.grid import Case
+from pbrfit_evaluation.table1 import measure as table1
+from pbrfit_evaluation.table1.measure import ROWS as TABLE1
+from pbrfit_evaluation.transport import measure
+from pbrfit_evaluation.transport.figures import CHOICES
+from pbrfit_evaluation.transport.measure import (
     LAMPS,
-    NEAR,
     OF_GEOMETRY,
     ROWS,
     VARIANTS,
     lamps_off,
     told,
 )
-from pbrfit_evaluation.grid import Case
-from pbrfit_evaluation.normal_errors import unit
-from pbrfit_evaluation.table1 import measure as table1
-from pbrfit_evaluation.table1.rows import BY_KEY as TABLE1
 from scene_files import known, run
 
 SIZE = 24
 LIGHTS = 4
 
-CASE = Case("points-shadows", NEAR, 8200, SIZE, lights=LIGHTS)
+CASE = Case("points-shadows", "lamps-depth", 8200, SIZE, lights=LIGHTS)
 ROW = TABLE1[ROWS["points-shadows"][0]]
 
 

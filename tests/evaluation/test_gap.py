@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ import pbrfit
 import reference
 from pbrfit_evaluation.gap import measure, principled
 from pbrfit_evaluation.gap.brute_force import respond, view
-from pbrfit_evaluation.gap.measure import Case, Model, integrated
+from pbrfit_evaluation.gap.measure import Case, Model
 
 Array = NDArray[np.float64]
 
@@ -127,14 +128,13 @@ def test_white_furnace_of_a_mirror(n_dot_v: float) -> None:
 
 
 @pytest.mark.parametrize("own", [respond, principled.respond])
-def test_a_perfect_model_has_no_gap_and_a_brighter_one_its_own(own: measure.Reference) -> None:
-    exact = integrated(own)
+def test_a_perfect_model_has_no_gap_and_a_brighter_one_its_own(own: Model) -> None:
+    def brighter(r: float, n_dot_v: float) -> Any:
+        weights = own(r, n_dot_v).weights
+        return SimpleNamespace(error=0.0, weights=lambda *of: 1.5 * weights(*of))
 
-    def brighter(normal: Array, view: Array, albedo: Array, r: Array, m: Array) -> Array:
-        return 1.5 * exact(normal, view, albedo, r, m)
-
-    models: dict[str, Model] = {"exact": exact, "brighter": brighter}
-    found = measure.measure(Case(0.5, (0.5,), rings=2, lights=2), own, models)
+    case, models = Case(0.5, (0.5,), rings=2, lights=2), {"exact": own, "brighter": brighter}
+    found = measure.run(case, reference=own, models=models)
     signal, true = np.array(found["signal"]), np.array(found["true"])
     of = {name: {k: np.array(v) for k, v in one.items()} for name, one in found["models"].items()}
     assert (of["exact"]["error"] / signal).max() < 1e-14

@@ -11,12 +11,13 @@ import pytest
 from blender_card import relief
 from pbrfit import relight
 from pbrfit.export import export_result
+from pbrfit.scene.scene import Scene
 from pbrfit_evaluation import cycles
-from pbrfit_evaluation.cycles.blender import rendered_export
-from pbrfit_evaluation.generated.measure import given, reviewed
-from pbrfit_evaluation.generated.stand_ins import (
+from pbrfit_evaluation.cycles.process import rendered_export
+from pbrfit_evaluation.generated.measure import (
     LEVELS,
-    Room,
+    given,
+    reviewed,
     room,
     stand_ins,
 )
@@ -26,13 +27,13 @@ SEED, SIZE, PICTURES = 8701, 48, 13
 
 
 @pytest.fixture(scope="module")
-def truth() -> Room:
-    return room(SEED, SIZE, PICTURES, by_cycles=False, cache=None)
+def truth() -> Scene:
+    return room(SEED, SIZE, PICTURES, by_cycles=False)
 
 
-def test_levels_build_upon_each_other(truth: Room) -> None:
+def test_levels_build_upon_each_other(truth: Scene) -> None:
     exact, toned_, drifted_, repainted = (stand_ins(truth, level, SEED) for level in LEVELS)
-    np.testing.assert_array_equal(exact[0], truth.pictures)
+    np.testing.assert_array_equal(exact[0], truth.images)
     assert [of[1].count("drift") for of in (exact, toned_, drifted_, repainted)] == [0, 0, 3, 3]
     assert repainted[1].count("repaint") == 2
     assert repainted[1].count("another") == 1
@@ -41,19 +42,19 @@ def test_levels_build_upon_each_other(truth: Room) -> None:
         changed = [bool(np.any(a != b)) for a, b in zip(before[0], after[0], strict=True)]
         more = [a != b for a, b in zip(before[1], after[1], strict=True)]
         assert changed == more
-    np.testing.assert_array_equal(codes(repainted[0][0]), codes(truth.pictures[0]))  # the photo
+    np.testing.assert_array_equal(codes(repainted[0][0]), codes(truth.images[0]))  # the photo
 
 
-def test_files_tell_which_samples_are_clipped(truth: Room) -> None:
+def test_files_tell_which_samples_are_clipped(truth: Scene) -> None:
     pictures = stand_ins(truth, "toned", SEED)[0]
-    scene = given(truth.scene, pictures, as_files=True)
+    scene = given(truth, pictures, as_files=True)
     np.testing.assert_allclose(scene.images, pictures, atol=1e-6)
     assert scene.limits is not None
     white = codes(pictures)[:, scene.valid] == 255
     np.testing.assert_array_equal(scene.limits[:, scene.valid][white] > 0, True)
 
 
-def test_the_review_refuses_a_picture_of_another_room(truth: Room) -> None:
+def test_the_review_refuses_a_picture_of_another_room(truth: Scene) -> None:
     pictures, kinds = stand_ins(truth, "repainted", SEED)
     kept = reviewed(pictures)
     assert kept[0] == 0

@@ -14,7 +14,7 @@ from evaluation_tasks import recorded
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation import recipes
 from pbrfit_evaluation.grid import Case, Grid, measured
-from pbrfit_evaluation.grid.figures import Bar, pictures, rows, verdicts
+from pbrfit_evaluation.grid.figures import Bar, grid_rows, of_bars, pictures
 from pbrfit_evaluation.suite import csv_files
 
 WAYS = {"fit": recipes.Way("a fit"), "guess": recipes.GUESS}
@@ -54,7 +54,7 @@ def scored(condition: str, way: str, seed: int, error: float | str) -> tuple[Cas
 
 def test_rows_say_what_failed_and_what_was_not_run() -> None:
     pairs = [scored("plain", "fit", 5, 0.25), scored("plain", "fit", 6, "OSError: full")]
-    found = rows(GRID, recorded(*pairs, **vars(asked(lost="nowhere"))), ["albedo"])
+    found = grid_rows(GRID, recorded(*pairs, **vars(asked(lost="nowhere"))), ["albedo"])
     assert [(row.name, row.solver) for row in found[::2]] == [
         *(("as it is", "a fit"), ("in the dark", "a fit"), ("odd", "a fit"))
     ]
@@ -69,7 +69,7 @@ def test_bars_are_between_means_of_scenes_that_both_have() -> None:
 
     def judged(of: str, over: tuple[str, str] | None, most: float) -> Any:
         bar = Bar("it", (of, "fit"), over, ["albedo", "recon"], most)
-        return list(verdicts(results, [bar]))
+        return list(of_bars(results, [bar]))
 
     [ratio] = judged("plain", ("plain", "guess"), 1.0)
     assert (ratio.value, ratio.holds, ratio.where) == (1.0, True, "recon")

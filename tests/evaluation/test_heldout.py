@@ -24,15 +24,16 @@ from pbrfit.model.materials import Materials
 from pbrfit.scene.correction import Correction
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
+from pbrfit_evaluation import recipes
+from pbrfit_evaluation.arrays import unit
 from pbrfit_evaluation.heldout import figures, measure, sources
 from pbrfit_evaluation.heldout.baselines import Baseline, explained_by_kept
 from pbrfit_evaluation.heldout.light import (
     explained_by,
     relative_error,
 )
-from pbrfit_evaluation.heldout.measure import Task, Way, split
-from pbrfit_evaluation.heldout.public_sets import SETS, Source
-from pbrfit_evaluation.normal_errors import unit
+from pbrfit_evaluation.heldout.measure import Task, split
+from pbrfit_evaluation.heldout.sources import SETS, Source
 from scene_files import known, run, truth_of
 
 Array = NDArray[np.float64]
@@ -205,7 +206,7 @@ def test_objects_of_benchmarks_are_read_as_they_are_published(kind: str, tmp_pat
             savemat(source.folder / name, {"n": cap()}, appendmat=False)
 
 
-def task(source: Source, way: Way, fold: int = 0, **more: Any) -> Task:
+def task(source: Source, way: str, fold: int = 0, **more: Any) -> Task:
     return Task(source, way, fold, "", 1, 4, 6, SIZE, **more)
 
 
@@ -223,10 +224,13 @@ def test_a_fit_is_told_nothing_and_sees_no_held_out_picture(
         given = SimpleNamespace(truth=truth, normals=cap(), valid=scene.valid, fov=0.0)
         return stand_in(given, held_out=chosen, assumed={"light": "so"})  # type: ignore[arg-type]
 
-    monkeypatch.setattr(measure, "decompose", decompose)
+    monkeypatch.setattr(recipes, "decompose", decompose)
     values = json.loads(json.dumps(measure.run(task(source, "default", 1), 1)))
     scene, options = seen[0]
-    assert options == {"refine_normals": "auto"}  # the default, which suites have to name
+    assert options == {
+        "refine_normals": "auto",
+        "start": None,
+    }  # the default, which suites have to name
     assert scene.names == ("0", "3", "4", "6", "7")  # of six, 1 is held out
     assert (scene.normals_known, scene.lamps, scene.response) == (False, None, "srgb")
     assert [one["name"] for one in values["own"]] == ["1"]
@@ -251,8 +255,8 @@ def found(error: float) -> dict[str, Any]:
 
 
 def test_regret_is_beside_the_best_of_ours() -> None:
-    a, b = (Source(name, Path(name), "scene", 8, "", name == "b") for name in "ab")
-    errors: dict[Source, dict[Way, float]] = {
+    a, b = (Source(name, Path(name), "scene", 8, name == "b") for name in "ab")
+    errors: dict[Source, dict[str, float]] = {
         a: {"default": 0.11, "lamps": 0.10, "paper": 0.2, "lambert": 0.05, "nearest": 0.11},
         b: {"default": 0.2, "lamps": 0.3, "paper": 0.19, "lambert": 0.4, "nearest": 0.1},
     }

@@ -19,11 +19,12 @@ from pbrfit.model.geometry import angles_between
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation import normals
-from pbrfit_evaluation.generated.ways import WAYS
+from pbrfit_evaluation.estimator_errors import LOWEST_COSINE
+from pbrfit_evaluation.generated.measure import WAYS
 from pbrfit_evaluation.grid import Case
-from pbrfit_evaluation.normal_errors import LOWEST_COSINE
-from pbrfit_evaluation.normals import SUITE, figures, measure
-from pbrfit_evaluation.normals.disturbances import DISTURBANCES, MEAN_OF_THETA, disturbed
+from pbrfit_evaluation.normals import figures, measure
+from pbrfit_evaluation.normals.measure import DISTURBANCES, MEAN_OF_THETA, disturbed
+from pbrfit_evaluation.scores import MAPS
 
 
 @pytest.fixture(scope="module")
@@ -77,15 +78,15 @@ def room_of(condition: str, seed: int, off: float, auto: float, angle: float = 0
     return pairs
 
 
-ASKED = {"disturbances": DISTURBANCES, "degrees": (5.0, 10.0, 20.0)}
+ASKED = {"disturbances": DISTURBANCES, "degrees": (5.0, 10.0, 20.0), "part": measure.PARTS}
 
 
 def test_demands_hold_up_to_their_bounds() -> None:
     """Right normals, and each size of wrong ones, on both sides of what is demanded."""
 
-    def missed(part: int, *pairs: Any) -> list[str]:
-        results, of = recorded(*pairs, **ASKED), SUITE.parts[part]
-        verdicts = of.verdicts(results, of.figures(results))
+    def missed(*pairs: Any) -> list[str]:
+        results = recorded(*pairs, **ASKED)
+        verdicts = figures.verdicts(results, figures.rows(results))
         return [one.what for one in verdicts if not one.holds]
 
     true = room_of("true", 1, 0.1, 0.1)
@@ -96,16 +97,16 @@ def test_demands_hold_up_to_their_bounds() -> None:
         (20.0, 0.199, 12.4, 0),
         (20.0, 0.201, 12.6, 5),
     ):
-        found = missed(0, *true, *room_of(f"correlated-{theta:g}", 1, 0.3, auto, angle))
+        found = missed(*true, *room_of(f"correlated-{theta:g}", 1, 0.3, auto, angle))
         assert len(found) == failing, (theta, auto)
         assert any("metallic loss" in what for what in found) == (failing == 5)
-    assert missed(0, *room_of("true", 1, 0.1, 0.103, 0.29)) == []
-    assert len(missed(0, *room_of("true", 1, 0.1, 0.1031, 0.31))) == len(figures.METRICS) + 1
-    values = {"scores": dict.fromkeys(measure.MAPS, 0.1), "angle": {"mean": 0.1}}
+    assert missed(*room_of("true", 1, 0.1, 0.103, 0.29)) == []
+    assert len(missed(*room_of("true", 1, 0.1, 0.1031, 0.31))) == len(figures.METRICS) + 1
+    values = {"scores": dict.fromkeys(MAPS, 0.1), "angle": {"mean": 0.1}}
     for back, fails in (((True, True, True, False, False), 0), ((True, True, False, False), 1)):
         cases = [Case("exact-correlated", "on", seed, 16) for seed in range(len(back))]
         pairs = [(of, values | {"came_back": one}) for of, one in zip(cases, back, strict=True)]
-        assert len(missed(1, *pairs)) == fails
+        assert len(missed(*pairs)) == fails
 
 
 def test_every_suite_says_whether_normals_are_refined() -> None:

@@ -9,16 +9,15 @@ import pytest
 
 from pbrfit.io.color import encode_srgb
 from pbrfit.registration import alignment
-from pbrfit_evaluation.review.damage import AREA, REPAINTS, SEEN, damaged
 from pbrfit_evaluation.review.figures import Rate
-from pbrfit_evaluation.review.pictures import relights
+from pbrfit_evaluation.review.pictures import AREA, REPAINTS, SEEN, damaged, relights
 
 VIEW = relights("furnished", "own", 2020, size=160, count=2)
 
 
 @pytest.mark.parametrize("kind", REPAINTS)
 def test_repaints_change_what_they_say(kind: Any) -> None:
-    honest = VIEW.pictures[0]
+    honest = VIEW.images[0]
     changed, amount = damaged(honest, kind, VIEW.segments, np.random.default_rng(1))
     difference = np.abs(encode_srgb(changed.clip(0, 1)) - encode_srgb(honest.clip(0, 1))).mean(-1)
     assert AREA[0] - 0.001 <= amount["area"] <= 0.26
@@ -29,7 +28,7 @@ def test_repaints_change_what_they_say(kind: Any) -> None:
 
 def test_shifts_and_warps_move_as_far_as_they_say() -> None:
     rng = np.random.default_rng(2)
-    honest = VIEW.pictures[0]
+    honest = VIEW.images[0]
     moved, amount = damaged(honest, "shift", VIEW.segments, rng)
     found = alignment.compare(alignment.edges(honest), alignment.edges(moved))
     assert found is not None

@@ -16,9 +16,8 @@ import pbrfit
 import reference
 from pbrfit_evaluation.jobs import Record, Values
 from pbrfit_evaluation.stability import edges, figures, stiff_fits
-from pbrfit_evaluation.stability.double_precision import Case, evaluate
-from pbrfit_evaluation.stability.extreme_pixels import random_case
-from pbrfit_evaluation.stability.sections import SECTIONS, Task, worst_of
+from pbrfit_evaluation.stability.double_precision import Case, evaluate, random_case
+from pbrfit_evaluation.stability.sections import SECTIONS, Task
 from pbrfit_evaluation.stability.sections import run as run_section
 from pbrfit_evaluation.suite import Results
 from scene_files import known
@@ -57,7 +56,7 @@ def judged(section: str, values: Values | None = None) -> dict[str, bool]:
     record = Record(task.key, run_section(task, 1) if values is None else values, None, 0.0)
     assert record.values is not None
     results = Results(Namespace(), [(task, record)])
-    keys = [key for key in SECTIONS[section].bounds if key in record.values["figures"]]
+    keys = figures.worst_of(task, record.values)
     return dict(zip(keys, (v.holds for v in figures.verdicts(results)), strict=True))
 
 
@@ -124,9 +123,7 @@ def test_wrong_objective_fails(
 
 def test_a_fit_that_is_worse_or_unflagged_or_broken_fails_its_check() -> None:
     def failed(**facts: float) -> list[str]:
-        values = {
-            "figures": worst_of("stiff fits", {"a; gauss-newton": facts, "b; gauss-newton": {}})
-        }
+        values = {"rows": {"a; gauss-newton": facts, "b; gauss-newton": {}}}
         return [key for key, holds in judged("stiff fits", values).items() if not holds]
 
     above = stiff_fits.above

@@ -1,4 +1,4 @@
-"""The machinery that every suite is: a command made from data, its parts, its report."""
+"""The machinery that every suite is: a command made from data, its report."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -21,11 +20,10 @@ import pytest
 import scene_files
 from evaluation_tasks import Task, work
 from page_reader import Page
-from pbrfit.commands.arguments import add_threads
+from pbrfit.commands.arguments import value
 from pbrfit_evaluation import commands, options, report
 from pbrfit_evaluation.suite import (
     Options,
-    Part,
     Results,
     Row,
     Section,
@@ -35,55 +33,53 @@ from pbrfit_evaluation.suite import (
 )
 
 
-def cases(name: str, asked: Options) -> list[Task]:
+def cases(asked: Options) -> list[Task]:
     acts = asked.acts or ["well"] * asked.scenes
-    return [Task(f"{name}{i}", asked.data, act) for i, act in enumerate(acts)]
+    return [Task(f"quiet{i}", asked.data, act) for i, act in enumerate(acts)]
 
 
-def figures(name: str, results: Results[Task]) -> list[Row]:
+def rows(results: Results[Task]) -> list[Row]:
     threads = results.mean("threads")
-    return [Row(name, threads.count, None, {"threads": threads.mean}, status=results.status())]
+    return [Row("quiet", threads.count, None, {"threads": threads.mean}, status=results.status())]
 
 
 def verdicts(_: Results[Task], rows: Sequence[Row]) -> list[Verdict]:
-    return [Verdict("threads", rows[0].metrics["threads"] or math.nan, 1, at_least=True)]
-
-
-def part(name: str, **more: Any) -> Part[Task]:
-    return Part(name, partial(cases, name), work, partial(figures, name), verdicts=verdicts, **more)
+    value = rows[0].metrics["threads"] or math.nan
+    return [Verdict("threads", value, 1, at_least=True, part="quiet"), Verdict("more", 0.0, None)]
 
 
 SUITE = Suite(
     name="nothing",
     title="A suite of nothing",
     protocol="nothing-1, {scenes} scenes, {effort}",
-    parts=[
-        part("quiet"),
-        part("loud"),
-    ],
-    options=(
-        options.count("--scenes", "K", "how many"),
-        options.option("--acts", nargs="+"),
-        options.option("--data", type=Path, default=Path("x")),
-        add_threads,
-    ),
-    effort={"scenes": (3, 1), "hidden": ((1, 2), (1,))},
+    cases=cases,
+    run=work,
+    rows=rows,
+    verdicts=verdicts,
+    settings={
+        "scenes": options.count("K", "how many", 3, 1),
+        "acts": options.fixed(None, value("ACT", str, "what each does", nargs="+")),
+        "data": options.fixed(None, value("DIR", Path, "of traces")),
+        "threads": options.threads,
+        "hidden": options.Setting((1, 2), (1,)),
+    },
+    folders="pictures",
     about=("It measures nothing.",),
 )
 
 OPTIONS = argparse.Namespace(
     scenes=2,
-    size=64,
+    acts=None,
+    data=None,
+    threads=0,
+    hidden=(1, 2),
     effort="full",
     quick=False,
-    part=None,
-    spelled={"scenes": "--scenes", "size": "--size", "part": "--part", "folders": ""},
     folders=[Path("somewhere/pictures")],
-    defaults={"scenes": 2, "size": 64, "part": None, "folders": []},
 )
 
 
-def run(suite: Suite, monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+def run(suite: Suite[Any], monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     module = type("Module", (), {"SUITE": suite})
     monkeypatch.setattr(commands, "import_module", lambda _: module)
     parser = argparse.ArgumentParser(prog="pbrfit evaluate nothing")
@@ -100,7 +96,7 @@ def summary(folder: Path) -> dict[str, Any]:
     return found
 
 
-def test_parts_options_and_files(
+def test_options_and_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
@@ -120,39 +116,33 @@ def test_parts_options_and_files(
     assert set(content) == {
         "protocol", "command", "date", "version", "machine", "rows", "tables",
     }  # fmt: skip
-    assert [row["name"] for row in content["rows"]] == [
-        "quiet: threads", "loud: threads", "quiet", "loud",
-    ]  # fmt: skip
+    assert [row["name"] for row in content["rows"]] == ["quiet: threads", "more", "quiet"]
     assert content["rows"][0]["metrics"] == {"value": 2, "bar": 1, "at_least": 1}
-    assert [row["scenes"] for row in content["rows"][2:]] == [1, 1]
+    assert content["rows"][2]["scenes"] == 1
     assert set(content["rows"][0]) == {"name", "scenes", "solver", "metrics", "paper", "status"}
     with (out / "scenes.csv").open(newline="", encoding="utf-8") as file:
         lines = list(csv.DictReader(file))
-    assert [line["key"] for line in lines] == ["quiet0", "loud0"]
-    assert lines[0] == {"key": "quiet0", "act": "well", "name": "quiet0", "threads": "2"}
+    [line] = lines
+    assert line == {"key": "quiet0", "act": "well", "name": "quiet0", "threads": "2"}
     page = Page((out / "report.html").read_text("utf-8"))
-    assert [element.text for element in page.all("h2")] == [
-        "What must hold", "Figures", "Figures",
-    ]  # fmt: skip
+    assert [element.text for element in page.all("h2")] == ["What must hold", "Figures"]
     said = [element.text for element in page.all("p")]
-    assert said[:2] == ["2 of 2 demands hold.", "It measures nothing."]
+    assert said[:2] == ["1 of 1 demands hold.", "It measures nothing."]
 
-    assert run(SUITE, monkeypatch, *command, "--resume", "--part", "loud", "--quiet") == 0
-    assert [row["scenes"] for row in summary(out)["rows"]] == [0, 3]
-    assert len((tmp_path / "loud0.trace").read_text("utf-8").splitlines()) == 1
+    assert run(SUITE, monkeypatch, *command, "--resume", "--quiet") == 0
+    assert [row["scenes"] for row in summary(out)["rows"]] == [0, 0, 3]
+    assert len((tmp_path / "quiet0.trace").read_text("utf-8").splitlines()) == 1
 
 
 @pytest.mark.parametrize(
-    ("acts", "part", "code", "said"),
+    ("acts", "code", "said"),
     [
-        (("well", "raise"), "quiet", 1, "1 of 2 failed: quiet1"),
-        (("raise", "raise"), "quiet", 2, "2 of 2 failed: quiet0, quiet1"),
-        (("well", "raise"), "loud", 1, "1 of 2 failed: loud1"),
+        (("well", "raise"), 1, "1 of 2 failed: quiet1"),
+        (("raise", "raise"), 2, "2 of 2 failed: quiet0, quiet1"),
     ],
 )
 def test_failures(
     acts: tuple[str, ...],
-    part: str,
     code: int,
     said: str,
     tmp_path: Path,
@@ -160,7 +150,7 @@ def test_failures(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     out = tmp_path / "out"
-    command = ("--out", out, "--data", tmp_path, "--part", part, "--jobs", 1, "--acts", *acts)
+    command = ("--out", out, "--data", tmp_path, "--jobs", 1, "--acts", *acts)
     assert run(SUITE, monkeypatch, *command) == code
     errors = capsys.readouterr().err
     assert said in errors
@@ -173,11 +163,8 @@ def test_failures(
 def test_what_does_not_hold_is_a_failure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    strict = replace(
-        part("quiet"),
-        verdicts=lambda *_: [Verdict("a", 2.0, 1.0, "there"), Verdict("b", 3.0, None)],
-    )
-    suite = replace(SUITE, parts=[strict])
+    found = [Verdict("a", 2.0, 1.0, "there"), Verdict("b", 3.0, None)]
+    suite = replace(SUITE, verdicts=lambda *_: found)
     command = ("--data", tmp_path, "--quick", "--jobs", 1)
     assert run(suite, monkeypatch, "--out", tmp_path / "a", *command) == 1
     assert "FAILS" in capsys.readouterr().out
@@ -218,13 +205,10 @@ def test_cases_have_names_of_their_own_and_the_seeds_that_are_reported(
     monkeypatch.setattr("pbrfit_evaluation.cycles.why_not", lambda: None)
     parser = argparse.ArgumentParser()
     commands._complete(name, parser)
-    suite = import_module(f"pbrfit_evaluation.{name}").SUITE
+    suite = import_module(f"pbrfit_evaluation.{name}.figures").SUITE
     asked = parser.parse_args(["--out", "x", *["--quick"] * quick])
-    asked.effort = "quick" if quick else "full"
-    for option, of_effort in suite.effort.items():
-        if getattr(asked, option, None) is None:
-            setattr(asked, option, of_effort[quick])
-    cases = [case for part in suite.parts for case in part.cases(asked)]
+    suite.settle(asked)
+    cases = suite.cases(asked)
     assert len({case.key for case in cases}) == len(cases)
     assert min(case.seed for case in cases) == FIRST_SEEDS[name]
 
@@ -265,7 +249,7 @@ def test_a_summary_says_how_to_make_it_again_and_holds_the_tables(tmp_path: Path
     sections = [Section("A & B", tables=[Table(["n"], [[1.0]]), Table(["m"], [[0.25]])])]
     report.write(tmp_path, SUITE, OPTIONS, report.Outcome([], [], sections, {}, []))
     summary = json.loads((tmp_path / "summary.json").read_text("utf-8"))
-    assert summary["command"] == "pbrfit evaluate nothing --scenes 2 pictures"
+    assert summary["command"] == "pbrfit evaluate nothing pictures --scenes 2"
     assert summary["date"] == f"{datetime.now(UTC):%Y-%m-%d}"
     assert [table["title"] for table in summary["tables"]] == ["A & B", "A & B 2"]
     assert summary["tables"][1]["markdown"] == "| m |\n| ---: |\n| 0.250 |\n"

@@ -1,26 +1,20 @@
-"""The Table 1 suite: simulated normals, rows, the command end to end."""
+"""The Table 1 suite: what fits are given, and its rows."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from evaluation_tasks import recorded
-from pbrfit.io import images
-from pbrfit.model.geometry import angles_between
 from pbrfit.model.reflection import DEFAULT_MODEL, MODELS
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
-from pbrfit_evaluation.normal_errors import LOWEST_COSINE, as_estimated, estimated
+from pbrfit_evaluation.scores import SCORES
 from pbrfit_evaluation.table1 import measure
-from pbrfit_evaluation.table1.figures import METRICS, rows
-from pbrfit_evaluation.table1.measure import Case
-from pbrfit_evaluation.table1.rows import BY_KEY, ROWS
+from pbrfit_evaluation.table1.figures import rows
+from pbrfit_evaluation.table1.measure import ROWS, Case
 from scene_files import known
 
 
@@ -36,44 +30,9 @@ def given(row: str, **more: Any) -> Scene:
     return measure.as_given(measure.room(of, 1), of)
 
 
-def errors_of(size: int, seed: int) -> NDArray[np.float64]:
-    scene = make_scene("room", size=size, lights=2, held_out=1, seed=seed)
-    rng = np.random.default_rng(seed)
-    found = as_estimated(scene.normals, scene.views, known(scene.segments), rng)
-    np.testing.assert_allclose(np.linalg.norm(found, axis=-1), 1.0, rtol=1e-12)
-    facing = np.einsum("...i,...i->...", found, scene.views)
-    assert facing.min() >= 0.9 * LOWEST_COSINE
-    return angles_between(found, scene.normals)
-
-
-def test_simulated_normals_err_as_published_estimators_do() -> None:
-    """Of DSINE on NYUv2: mean 16.4, median 8.4 degrees; 60 % within 11.25, 84 % within 30."""
-    off = np.concatenate([errors_of(64, seed).ravel() for seed in range(200, 212)])
-    assert 12 <= off.mean() <= 18
-    assert 7 <= np.median(off) <= 11
-    assert 0.5 <= np.mean(off < 11.25) <= 0.7
-    assert 0.8 <= np.mean(off < 30) <= 0.9
-
-
-def test_normals_that_nobody_knows_spoil_no_others() -> None:
-    whole = make_scene("room", size=32, lights=2, held_out=1, seed=3)
-    unknown = np.zeros(whole.normals.shape[:2], bool)
-    unknown[::3, ::2] = True
-    masked = replace(
-        whole,
-        mask=~unknown,
-        normals=np.where(unknown[..., None], np.nan, whole.normals),
-        truth=None,
-    )
-    of_all, found = (estimated(scene, 3) for scene in (whole, masked))
-    np.testing.assert_array_equal(np.isnan(found).all(axis=-1), unknown)
-    assert np.isfinite(of_all).all()
-    assert np.median(angles_between(found, of_all)[~unknown]) < 2.0
-
-
 @pytest.mark.parametrize("key", ["base", "fov90", "normals", "normals-refined", "detailed"])
 def test_a_scene_is_told_what_its_row_says_and_nothing_else(key: str) -> None:
-    row, scene = BY_KEY[key], given(key)
+    row, scene = ROWS[key], given(key)
     truth = make_scene(row.scene, size=16, lights=4, held_out=4, seed=1001)
     np.testing.assert_array_equal(scene.images, truth.images)
     assert scene.fov == row.fov
@@ -82,7 +41,7 @@ def test_a_scene_is_told_what_its_row_says_and_nothing_else(key: str) -> None:
 
 
 def test_our_renderer_uses_the_model_that_is_fitted_but_in_one_row() -> None:
-    swapped = [row.key for row in ROWS if row.swapped]
+    swapped = [key for key, row in ROWS.items() if row.swapped]
     assert swapped == ["other-model"]
     [other] = swapped
     for model in MODELS:
@@ -93,23 +52,11 @@ def test_our_renderer_uses_the_model_that_is_fitted_but_in_one_row() -> None:
         np.testing.assert_array_equal(own.normals, apart.normals)
 
 
-def test_given_normals_are_used(tmp_path: Path) -> None:
-    truth = make_scene("furnished", size=16, lights=4, held_out=4, seed=1001)
-    stored = {name: truth.normals[..., i] for i, name in enumerate("XYZ")}
-    images.write_exr(tmp_path / "1001.exr", stored)
-    off = angles_between(given("normals", predicted_normals=tmp_path).normals, truth.normals)
-    assert off.max() < 0.1
-    with pytest.raises(ValueError, match=r"expected 1000\.exr or 1000\.png, found neither"):
-        given("normals", seed=1000, predicted_normals=tmp_path)
-    with pytest.raises(ValueError, match="expected 24 × 24 pixels, found 16 × 16"):
-        given("normals", size=24, predicted_normals=tmp_path)
-
-
 def test_rows_have_the_papers_figures_and_say_why_some_were_not_run() -> None:
     pairs: list[tuple[Case, Any]] = []
-    for way in BY_KEY["base"].ways:
+    for way in ROWS["base"].ways:
         pairs.append(
-            (case("base", way, 1000, model="paper"), {"scores": dict.fromkeys(METRICS, 0.25)})
+            (case("base", way, 1000, model="paper"), {"scores": dict.fromkeys(SCORES, 0.25)})
         )
         pairs.append((case("base", way, 1001, model="paper"), "ValueError: no"))
     asked = {"conditions": ["base", "cycles-brdf"], "model": "paper", "quick": True}

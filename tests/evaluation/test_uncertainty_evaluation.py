@@ -15,24 +15,22 @@ from evaluation_tasks import recorded
 from pbrfit.model.geometry import angles_between
 from pbrfit.result.verdict import PARAMETERS, ROUGH_ERROR, USABLE_ERROR, deserved
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.everyday.disturbances import NOISE
-from pbrfit_evaluation.grid import Case
+from pbrfit_evaluation.grid import NOISE, Case
 from pbrfit_evaluation.suite import Results
 from pbrfit_evaluation.uncertainty import figures
-from pbrfit_evaluation.uncertainty.conditions import CONDITIONS, NAMES, Name, made
 from pbrfit_evaluation.uncertainty.figures import (
     ABOVE_GUESS,
     COVERED,
     UNDETERMINED_WRONG,
     USABLE_RIGHT,
 )
-from pbrfit_evaluation.uncertainty.measure import calibration
+from pbrfit_evaluation.uncertainty.measure import CONDITIONS, calibration, made
 from scene_files import truth_of
 
 SEED = 7
 
 
-def scene(name: Name, size: int = 16) -> Scene:
+def scene(name: str, size: int = 16) -> Scene:
     return made(name, "furnished", SEED, size, "paper", 1)
 
 
@@ -45,8 +43,8 @@ def test_a_scene_is_the_same_each_time() -> None:
     np.testing.assert_array_equal(scene("jpeg").images, scene("jpeg").images)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_scenes_have_true_materials(name: Name, clean: Scene) -> None:
+@pytest.mark.parametrize("name", CONDITIONS)
+def test_scenes_have_true_materials(name: str, clean: Scene) -> None:
     first = scene(name)
     assert first.images.dtype == np.float32
     assert first.depth is None
@@ -66,7 +64,7 @@ def test_what_is_told_wrong(clean: Scene) -> None:
     told = scene("fov-90")
     assert (told.fov, clean.fov) == (90, 60)
     np.testing.assert_array_equal(told.images, clean.images)
-    off: dict[Name, float] = {"normals-3": 3, "normals-5": 5}
+    off: dict[str, float] = {"normals-3": 3, "normals-5": 5}
     for name, degrees in off.items():
         wrong = scene(name)
         angles = angles_between(wrong.normals, clean.normals)
@@ -117,7 +115,7 @@ def record(
     return {"said": maps, "scores": {"seconds": 1.0}}
 
 
-def results(*values: Mapping[str, Any] | str, name: Name = "noise") -> Results[Case]:
+def results(*values: Mapping[str, Any] | str, name: str = "noise") -> Results[Case]:
     """A row of these scenes."""
     pairs = ((Case(name, "default", i, 8), one) for i, one in enumerate(values))
     return recorded(*pairs, conditions=[name])

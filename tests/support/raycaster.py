@@ -18,7 +18,7 @@ import reference
 from pbrfit.synthetic import World
 from pbrfit.synthetic.geometry import Box, Cylinder, Plane, Primitive, Sphere
 from pbrfit.synthetic.surfaces import Layers, Paint, Spots
-from pbrfit_evaluation.rooms.frustum import Frustum
+from pbrfit_evaluation.rooms.parts import Frustum
 
 Array = NDArray[np.float64]
 Field = Callable[[Array], Array]

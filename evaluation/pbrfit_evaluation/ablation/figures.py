@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from pbrfit_evaluation.ablation.measure import FEW, GRID, WAYS
-from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, pictures, ratios
-from pbrfit_evaluation.grid.figures import rows as grid_rows
-from pbrfit_evaluation.grid.figures import verdicts as of_bars
-from pbrfit_evaluation.suite import Row, Section, Table, Value, Verdict
+from pbrfit.commands.arguments import choice
+from pbrfit.commands.fit_options import MODEL_OF_PICTURES
+from pbrfit.model.reflection import DEFAULT_MODEL, MODELS
+from pbrfit_evaluation.ablation.measure import GRID, WAYS, run
+from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, grid_rows, of_bars, ratios, sheets
+from pbrfit_evaluation.options import count, fixed
+from pbrfit_evaluation.scores import PROTOCOL as SCORES
+from pbrfit_evaluation.suite import Row, Section, Suite, Table, Value, Verdict
 
 SHOWN = ("roughness", "metallic", "albedo", "albedo_scaled", "relight")
 """Errors in tables."""
@@ -72,8 +75,7 @@ def sections(results: Of, rows: Sequence[Row]) -> Iterator[Section]:
     )
     yield Section("Errors", "Mean RMSE.", [Table.of(rows)])
     caption = "The first room: the truth, and what was recovered."
-    labels = {key: WAYS[key].words for key in FEW}
-    yield Section("The first room", figures=pictures(results, labels, caption, "room"))
+    yield from sheets("The first room", results, GRID, caption, "room")
 
 
 def _held(results: Of) -> Table:
@@ -97,3 +99,31 @@ def _held(results: Of) -> Table:
         held = sum(value <= bar.most for bar, value in judged)
         lines.append([way.words, *worst, f"{held} of {len(judged)}"])
     return Table(["priors", *groups, "demands held"], lines)
+
+
+FIRST_SEED = 3000
+"""Priors were designed and their weights chosen on seeds 2000 to 2099; none from 3000 on ever
+served for that."""
+
+SUITE = Suite(
+    name="ablation",
+    title="What the priors are worth",
+    protocol="pbrfit-ablation-1: rooms with noise of 0.01 at a mean radiance of 0.4; "
+    f"{SCORES}; {{size}} pixels, {{iterations}} iterations",
+    cases=GRID.cases,
+    run=run,
+    rows=rows,
+    verdicts=verdicts,
+    sections=sections,
+    settings={
+        "model": fixed(DEFAULT_MODEL, choice(MODELS, MODEL_OF_PICTURES)),
+        **GRID.settings(FIRST_SEED, count("K", "rooms of each case", 5, 1), (64, 32)),
+        "iterations": count("N", "of each fit", 500, 60),
+    },
+    about=(
+        "What each prior does to the errors of materials and relighting, in rooms whose ground "
+        "truth is known: with right, wrong and missing segments, and materials that keep to them "
+        "or not. Rooms have 16 pictures with noise of 0.01 at a mean radiance of 0.4, and 16 held "
+        "out. Ratios are to the fit without priors, between mean errors over the rooms.",
+    ),
+)

@@ -5,19 +5,23 @@ All but the first minimise the same objective, that without priors.
 
 from __future__ import annotations
 
+import math
+import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
 from typing import Any
 
+from pbrfit._core import InputError
 from pbrfit.fit.decompose import Progress, decompose
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.convergence import torch_peer
-from pbrfit_evaluation.convergence.cases import Case
-from pbrfit_evaluation.convergence.measure import Budget, Tracker
+from pbrfit_evaluation.convergence.measure import Budget, Case, Tracker, chosen, trial
+from pbrfit_evaluation.heldout.sources import find_sources
+from pbrfit_evaluation.jobs import digest_of_files
 from pbrfit_evaluation.recipes import paper_start
 from pbrfit_evaluation.suite import Options
 
@@ -95,7 +99,7 @@ OPTIMISERS: dict[torch_peer.Optimiser, str] = {
     "adam": "Adam with a cosine of learning rates",
 }
 
-SOLVERS: tuple[Solver, ...] = (
+_ALL = (
     Solver(
         "default",
         "pbrfit.decompose with its priors, given the segments where there are some.",
@@ -132,13 +136,13 @@ SOLVERS: tuple[Solver, ...] = (
     ),
 )
 
-
-BY_NAME = {solver.name: solver for solver in SOLVERS}
+SOLVERS = {solver.name: solver for solver in _ALL}
+"""By name."""
 
 
 def asked(options: Options) -> list[Solver]:
     """Those of a run."""
-    return [BY_NAME[name] for name in options.solvers or BY_NAME]
+    return [SOLVERS[name] for name in options.solvers or SOLVERS]
 
 
 @dataclass(frozen=True)
@@ -156,3 +160,59 @@ class Task:
     def key(self) -> str:
         """Unique name, fit for a file."""
         return f"{self.case.name}.{self.solver}.{self.seed}"
+
+
+REHEARSAL = Case("rehearsal", 8)
+REHEARSAL_BUDGET = Budget(iterations=3, evaluations=3, seconds=60.0)
+
+
+def run(task: Task, threads: int) -> dict[str, Any]:
+    """Do one run, after a rehearsal off the clock that loads libraries and wakes threads."""
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan
+    solver = SOLVERS[task.solver]
+    scene, errors = trial(replace(REHEARSAL, model=task.case.model), 0, threads)
+    solver.run(scene, REHEARSAL_BUDGET, Tracker(errors), threads)
+    scene, errors = trial(task.case, task.seed, threads)
+    tracker = Tracker(errors)
+    reason = solver.run(scene, task.budget, tracker, threads)
+    return {
+        "points": tracker.points,
+        "stop_reason": reason,
+        "threads": threads,
+        "load": load,
+    }
+
+
+FIRST_SEED = 100
+"""Seeds below 100 and from 200 on were used to choose constants, of this package and of peers."""
+
+MOST_SEEDS = 100
+
+
+def tasks(options: Options) -> list[Task]:
+    """All runs that are possible here, those of a seed one after the other.
+
+    So a run that is broken off and resumed with fewer seeds is complete in those. `options.seconds`
+    is where any run is cut off. On a quiet machine of two cores almost none is: iterations and
+    evaluations are the limits, so that only a busy one makes results depend on its speed.
+
+    Raises InputError if there are too many seeds, or not one set of real pictures where there
+    should be.
+    """
+    if options.seeds > MOST_SEEDS:
+        raise InputError(f"--seeds: expected at most {MOST_SEEDS}, found {options.seeds}")
+    inputs = ""
+    if options.real is not None:
+        if not options.real.is_dir() or len(find_sources(options.real)) != 1:
+            raise InputError(
+                f"{options.real}: expected a folder of one view's pictures, found none"
+            )
+        inputs = digest_of_files(options.real)
+    budget = Budget(options.iterations, options.evaluations, options.seconds)
+    return [
+        Task(case, solver.name, FIRST_SEED + i, budget, inputs if case.folder else "")
+        for i in range(options.seeds)
+        for case in chosen(options)
+        for solver in asked(options)
+        if not solver.why_not(case.model)
+    ]

@@ -21,18 +21,17 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit.fit.objective import Objective
 from pbrfit.model.materials import Materials
 from pbrfit.scene.scene import Scene
+from pbrfit_evaluation.arrays import Array
 from pbrfit_evaluation.convergence.measure import Budget, Tracker
 from pbrfit_evaluation.float32_model import View
 
 if TYPE_CHECKING:
     import torch
 
-Array = NDArray[np.float64]
 
 Optimiser = Literal["lbfgs", "adam"]
 

@@ -6,7 +6,7 @@ docs/cycles.md.
 
 from __future__ import annotations
 
-from pbrfit_evaluation.cycles.job import Transport, default_cache
+from pbrfit_evaluation.cycles.job import Transport
 from pbrfit_evaluation.cycles.process import CyclesError, CyclesNotFoundError, why_not
 from pbrfit_evaluation.cycles.scene import SAMPLES, Light, render_scene, true_lamps
 
@@ -16,7 +16,6 @@ __all__ = [
     "CyclesNotFoundError",
     "Light",
     "Transport",
-    "default_cache",
     "render_scene",
     "true_lamps",
     "why_not",

@@ -24,9 +24,9 @@ from pbrfit.model.geometry import view_directions
 from pbrfit.synthetic.geometry import Box, Cylinder, Plane, Primitive, Sphere, trace
 from pbrfit.synthetic.surfaces import Spots
 from pbrfit.synthetic.world import World
-from pbrfit_evaluation.rooms.frustum import Frustum
+from pbrfit_evaluation.arrays import Array
+from pbrfit_evaluation.rooms.parts import Frustum
 
-Array = NDArray[np.float64]
 Patch = tuple[Array, Array]  # (m, n, 3) points and (m, n, 3) unit normals, in object space
 
 ROUND = 128
@@ -92,12 +92,6 @@ def export(world: World, size: int, fov: float) -> Stage:
         if relief:
             maps["normal"] = view.normals.astype(np.float32)
     return Stage(meshes=meshes, maps=maps, size=size, fov=fov)
-
-
-def check_choice(name: str, value: object, choices: Sequence[str]) -> None:
-    """Raise InputError unless the value is one of the choices."""
-    if value not in choices:
-        raise InputError(f"{name}: expected one of {', '.join(choices)}, found {value!r}")
 
 
 def light_blockers(world: World, fov: float) -> tuple[bool, ...]:

@@ -8,14 +8,16 @@ import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.io.checks import one_of
 from pbrfit.io.output import new_folder
-from pbrfit_evaluation.cycles.export import Stage, check_choice
+from pbrfit_evaluation.arrays import Array
+from pbrfit_evaluation.cycles.export import Stage
 from pbrfit_evaluation.cycles.process import (
     WORKER,
     CyclesError,
@@ -67,7 +69,7 @@ class Job:
     """One render."""
 
     stage: Stage
-    positions: NDArray[np.float64] | None
+    positions: Array | None
     """(K, 3) of white point lights in camera space; None = the 16 SH basis functions, signed, as
     panoramas."""
     transport: Transport
@@ -83,8 +85,8 @@ class Job:
     Blender's default: the lobe is scaled up by it."""
 
     def __post_init__(self) -> None:
-        check_choice("transport", self.transport, get_args(Transport))
-        check_choice("distribution", self.distribution, get_args(Distribution))
+        one_of("transport", self.transport, Transport)
+        one_of("distribution", self.distribution, Distribution)
         if not 1 <= self.samples < 2**24:
             raise InputError(f"samples: expected a number from 1, found {self.samples}")
         if not 0 <= self.seed < 2**31:

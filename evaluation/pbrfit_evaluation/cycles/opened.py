@@ -2,7 +2,7 @@
 
     python opened.py FOLDER
 
-FOLDER holds `job.json` (`blender.py` writes it); a picture (H, W, 4) a panorama is written beside
+FOLDER holds `job.json` (`process.py` writes it); a picture (H, W, 4) a panorama is written beside
 it, `NUMBER.npy`. Imports nothing of pbrfit but the worker, as a file.
 """
 

@@ -6,10 +6,16 @@ Python. So it has an environment and a process of its own; files go in and out, 
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
+
+import numpy as np
+
+from pbrfit_evaluation.arrays import Array
 
 VARIABLE = "PBRFIT_CYCLES_PYTHON"
 WORKER = Path(__file__).with_name("worker.py")
@@ -123,3 +129,42 @@ def _environment() -> dict[str, str]:
     """Ours without what would lead another Python to our packages."""
     ours = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV", "PYTHONWARNINGS")
     return {name: value for name, value in os.environ.items() if name not in ours}
+
+
+# -------------------------------------------------------------------------------- exports opened
+
+OPENED = Path(__file__).with_name("opened.py")
+
+TURN = -90.0
+"""Degrees about Z by which docs/export.md tells users to turn the world."""
+
+
+def rendered_export(
+    folder: Path,
+    glb: Path,
+    size: int,
+    panoramas: Sequence[Path],
+    *,
+    samples: int = 256,
+) -> Array:
+    """Pictures (M, size, size, 3), linear Rec.709, of an exported square scene, `material.glb`.
+
+    Under panoramas, EXR files as `pbrfit export` writes them, with so many light paths a pixel.
+    `folder` is for the files exchanged, and made here. Raises CyclesNotFoundError if there is no
+    Python with bpy, CyclesError if the renderer fails.
+    """
+    folder.mkdir()
+    job = {
+        "glb": str(glb),
+        "size": size,
+        "threads": 1,
+        "seed": 1,
+        "bounces": dict.fromkeys(("all", "diffuse", "glossy"), 0),
+        "panoramas": [str(path) for path in panoramas],
+        "samples": samples,
+        "turn": TURN,
+    }
+    (folder / "job.json").write_text(json.dumps(job), encoding="utf-8")
+    run_worker(find_python(), folder, 600.0, worker=OPENED)
+    pictures = [np.load(folder / f"{number}.npy") for number in range(len(panoramas))]
+    return np.stack(pictures)[..., :3].astype(np.float64)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.io.checks import one_of
 from pbrfit.model.geometry import view_directions
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
@@ -17,10 +18,10 @@ from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import MEAN_RADIANCE, gains
 from pbrfit.synthetic.lights import random_colors, random_lights
 from pbrfit.synthetic.world import World
-from pbrfit_evaluation.cycles.export import Stage, check_choice, export
+from pbrfit_evaluation.arrays import Array, Floats, Mask
+from pbrfit_evaluation.cycles.export import Stage, export
 from pbrfit_evaluation.cycles.job import Job, Transport, rendered
 
-Array = NDArray[np.float64]
 Light = Literal["panorama", "points"]
 
 MAX_TURN = 30.0
@@ -101,8 +102,8 @@ def render_scene(
     CyclesError
         If the renderer fails.
     """
-    check_choice("light", light, get_args(Light))
-    check_choice("transport", transport, get_args(Transport))
+    one_of("light", light, Light)
+    one_of("transport", transport, Transport)
     if lights < 1 or held_out < 1:
         raise InputError(f"lights, held_out: expected 1 or more, found {lights} and {held_out}")
     if seed < 0:
@@ -159,14 +160,7 @@ def render_scene(
     )
 
 
-def true_lamps(
-    world: World,
-    size: int = 128,
-    fov: float = 60.0,
-    *,
-    lights: int = 16,
-    seed: int = 0,
-) -> Lamps:
+def true_lamps(world: World, size: int, fov: float, *, lights: int, seed: int) -> Lamps:
     """The lamps that `render_scene` with `light="points"` and the same arguments puts into a room.
 
     One a picture, near, in camera space and metres; colours are left unknown, for each picture has
@@ -178,9 +172,7 @@ def true_lamps(
     return Lamps(np.arange(lights, dtype=np.intp), places, np.ones(lights, bool))
 
 
-def inner_pixels(
-    segments: NDArray[np.integer[Any]], normals: NDArray[np.floating[Any]], fov: float
-) -> NDArray[np.bool_]:
+def inner_pixels(segments: NDArray[np.integer[Any]], normals: Floats, fov: float) -> Mask:
     """(H, W) bool: pixels that face the camera, whose four neighbours continue their surface.
 
     By object ids (H, W), 0 = nothing there, unit normals (H, W, 3) in camera space, and the

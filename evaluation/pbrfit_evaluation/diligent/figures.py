@@ -4,17 +4,32 @@ from __future__ import annotations
 
 import base64
 import io
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from pbrfit.commands.arguments import positive, switch, value
 from pbrfit_evaluation.heldout.figures import error_of
-from pbrfit_evaluation.heldout.measure import LARGEST_SHOWN, Task, Way
+from pbrfit_evaluation.heldout.measure import LARGEST_SHOWN, Task, run
+from pbrfit_evaluation.heldout.sources import asked_sources
+from pbrfit_evaluation.jobs import digest_of_files
+from pbrfit_evaluation.options import Setting, count, fixed, several
 from pbrfit_evaluation.panels import in_lines, unpacked
-from pbrfit_evaluation.suite import Picture, Results, Row, Section, Table, Value, Verdict
+from pbrfit_evaluation.suite import (
+    Options,
+    Picture,
+    Results,
+    Row,
+    Section,
+    Suite,
+    Table,
+    Value,
+    Verdict,
+)
 
-IN_WORDS: dict[Way, str] = {
+IN_WORDS: dict[str, str] = {
     "default": "unknown lamps",
     "directions": "directions told",
     "strengths": "directions, strengths told",
@@ -27,7 +42,7 @@ WORSE = 1.02
 """Mean angle over that of another way, at most: objects are few, and 2 % is less than what another
 choice of pictures changes."""
 
-BESIDE: tuple[tuple[Way, Way], ...] = (
+BESIDE: tuple[tuple[str, str], ...] = (
     ("directions", "lambert-trimmed"),
     ("strengths", "directions"),
     ("directions", "default"),
@@ -48,7 +63,7 @@ PUBLISHED: dict[str, str] = {
 Of = Results[Task]
 
 
-def _each(results: Of) -> Iterator[tuple[int, Way, Of]]:
+def _each(results: Of) -> Iterator[tuple[int, str, Of]]:
     """Numbers of pictures and ways, with the objects that have so many."""
     for keep in sorted({task.keep for task, _ in results.pairs}):
         for way in WAYS:
@@ -171,3 +186,75 @@ def _mat(values: Mapping[str, Any]) -> bytes:
     file = io.BytesIO()
     savemat(file, {"Normal_est": plain.reshape(values["shape"]).astype(np.float64)})  # type: ignore[arg-type]
     return file.getvalue()
+
+
+PICTURES = (4, 8, 16, 24, 32, 96)
+"""Pictures of an object that are fitted."""
+
+HELD_OUT = 8
+"""Pictures that are not, on which relighting is judged."""
+
+
+def cases(options: Options) -> list[Task]:
+    """All objects in every way, of every number of pictures that they have.
+
+    Normals are kept of the most pictures alone.
+
+    Raises InputError or FileNotFoundError if there are no pictures, or two objects have one name.
+    """
+    return [
+        Task(
+            *(source, way, 0, digest, HELD_OUT, 1, source.pictures, options.max_size),
+            keep=keep,
+            linear=source.linear,
+            mapped=keep == numbers[-1],
+        )
+        for source in asked_sources(options.folders, os.environ)
+        for digest in [digest_of_files(source.folder)]
+        for numbers in [sorted({min(n, source.pictures) for n in options.pictures})]
+        for keep in numbers
+        for way in WAYS
+        if way in options.ways
+    ]
+
+
+SUITE = Suite(
+    name="diligent",
+    title="Photometric stereo",
+    protocol="pbrfit-diligent-1: mean angle in degrees over the mask; pictures evenly "
+    f"chosen; relighting as of pbrfit-heldout-1 on at most {HELD_OUT} others; {{max_size}} pixels",
+    cases=cases,
+    run=run,
+    rows=rows,
+    verdicts=verdicts,
+    sections=sections,
+    files=files,
+    folders="object, or folder of such, as DiLiGenT, DiLiGenT10², LUCES and Harvard publish them, "
+    "or scene folders with set.json and normals.npz",
+    settings={
+        "ways": several("NAME", WAYS),
+        "pictures": Setting(
+            PICTURES,
+            PICTURES[1:2],
+            value(
+                "N",
+                positive,
+                "numbers of pictures that are fitted, as far as an object has so many (default: "
+                f"{' '.join(map(str, PICTURES))}, with --quick {PICTURES[1]})",
+                nargs="+",
+            ),
+        ),
+        "max_size": count("PIXELS", "average larger pictures down to this longer side", 1024, 64),
+        "mat": fixed(
+            False,
+            switch("write the normals of the most pictures as NAME-WAY.mat, (H, W, 3) Normal_est"),
+        ),
+    },
+    about=(
+        "Mean angles between the normals of a fit and measured ones, of objects under far lamps, "
+        "one a picture. A fit is told all of the lamps, their directions, or nothing. Least "
+        "squares (Woodham 1980) is told all; trimmed, it leaves out a quarter of a pixel's "
+        "samples at either end.",
+    ),
+    timed=True,
+)

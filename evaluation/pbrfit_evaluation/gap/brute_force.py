@@ -44,12 +44,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.model.reflection import sh_basis
-
-Array = NDArray[np.float64]
+from pbrfit_evaluation.arrays import Array
 
 Masking = Callable[[float, Array, float], Array]
 """G of n·v, n·l and roughness, the joint masking of both directions."""
@@ -89,20 +87,20 @@ class Response:
 
 
 @lru_cache(maxsize=4096)
-def respond(roughness: float, n_dot_v: float, nodes: int = NODES) -> Response:
+def respond(roughness: float, n_dot_v: float) -> Response:
     """Integrate the paper's BRDF at a roughness and a view angle, both in (0, 1].
 
     Raises InputError if roughness or n·v lies outside its range.
     """
-    (base, grazing), lobe_error = integrated_lobe(roughness, n_dot_v, nodes, _smith, schlick_parts)
-    coarse, fine = (_body(n_dot_v, count) for count in (nodes, 2 * nodes))
+    (base, grazing), lobe_error = integrated_lobe(roughness, n_dot_v, _smith, schlick_parts)
+    coarse, fine = (_body(n_dot_v, count) for count in (NODES, 2 * NODES))
     return Response(base, grazing, fine, max(lobe_error, float(np.abs(fine - coarse).max())))
 
 
 def integrated_lobe(
-    roughness: float, n_dot_v: float, nodes: int, masking: Masking, fresnel: Fresnel
+    roughness: float, n_dot_v: float, masking: Masking, fresnel: Fresnel
 ) -> tuple[Array, float]:
-    """`integrate_lobe` by twice as many nodes, and the largest change to there.
+    """`integrate_lobe` by twice `NODES`, and the largest change to there.
 
     Raises InputError unless roughness and n·v are in (0, 1].
     """
@@ -110,7 +108,7 @@ def integrated_lobe(
         if not 0 < value <= 1:
             raise InputError(f"{name}: expected a number in (0, 1], found {value!r}")
     coarse, fine = (
-        integrate_lobe(roughness, n_dot_v, count, masking, fresnel) for count in (nodes, 2 * nodes)
+        integrate_lobe(roughness, n_dot_v, count, masking, fresnel) for count in (NODES, 2 * NODES)
     )
     return fine, float(np.abs(fine - coarse).max())
 

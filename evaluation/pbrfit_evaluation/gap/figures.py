@@ -7,9 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from pbrfit_evaluation.gap.measure import COMPARED, MATERIALS, Array, Case
+from pbrfit.commands.arguments import value, whole_number
+from pbrfit_evaluation.arrays import Array
+from pbrfit_evaluation.gap.measure import COMPARED, MATERIALS, Case, cases, run
+from pbrfit_evaluation.options import Setting, fixed
 from pbrfit_evaluation.plots import CELL, draw, dress, heat_map, panels, png
-from pbrfit_evaluation.suite import Picture, Results, Row, Section, Table, Value
+from pbrfit_evaluation.suite import Picture, Results, Row, Section, Suite, Table, Value
 
 NAMES = [material.name for material in MATERIALS]
 
@@ -94,3 +97,34 @@ def _maps(ratios: Mapping[str, Array], n_dot_v: Sequence[float], r: Sequence[flo
         axes.set_title(title, loc="left", fontsize=10)
         axes.set(xlabel="n·v", ylabel="roughness r")
     return png(figure)
+
+
+TENTHS = tuple(round(0.1 * i, 1) for i in range(1, 11))
+
+
+SUITE = Suite(
+    name="gap",
+    title="The gap of the reflection models",
+    protocol="pbrfit-gap-4: SH responses of the principled BRDF by quadrature; spheres seen from "
+    "far away under random lights turned in every way; {effort}",
+    cases=cases,
+    run=run,
+    rows=rows,
+    sections=sections,
+    settings={
+        "seed": fixed(0, value("SEED", whole_number, "of the random lights")),
+        "r": Setting((0.05, *TENTHS), (0.1, 0.3, 0.5, 0.8, 1.0)),
+        "n_dot_v": Setting((0.05, *TENTHS), (0.1, 0.2, 0.5, 0.8, 1.0)),
+        "rings": Setting(20, 10),
+        "lights": Setting(64, 16),
+    },
+    about=(
+        "The models that pbrfit fits beside brute-force integration of BRDFs, over roughness, "
+        "view angle and SH band. The principled "
+        "integral is that of the BRDF of Blender's Principled, which glTF and game engines share "
+        "but for Fresnel's term of dielectrics.",
+        "A response is the size of what comes back of light in one SH band l: 1 for a perfect "
+        "mirror, and for l = 0 the directional albedo. Relative RMSE is of the radiance of "
+        "spheres under random lights turned in every way, over its RMS.",
+    ),
+)

@@ -1,7 +1,7 @@
 """Models beside integrals of BRDFs at points of a table, and on spheres under random lights.
 
-A model is a function with the signature of `kernel.shade`: material, normal and view in, weights of
-the 16 SH light coefficients out.
+A model, integrated or in closed form, gives at one (r, n·v) the weights of the 16 SH light
+coefficients for any material.
 
 **Responses.** The weights of band l at one (r, n·v) are reduced to one number,
 
@@ -26,58 +26,55 @@ from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pbrfit.model.reflection import MODELS as MODEL_NAMES
+from pbrfit.model.reflection import Model as ModelName
 from pbrfit.model.reflection import shade
 from pbrfit.synthetic.lights import random_lights
+from pbrfit_evaluation.arrays import Array
 from pbrfit_evaluation.gap import brute_force, principled
 from pbrfit_evaluation.gap.brute_force import view
-
-Array = NDArray[np.float64]
-
-Model = Callable[[Array, Array, Array, Array, Array], Array]
-"""normal (..., 3), view (..., 3), albedo (..., 3), r (...,), m (...,) -> weights (..., 3, 16)."""
+from pbrfit_evaluation.suite import Options
 
 
 class Response(Protocol):
-    """A BRDF's integrals at one roughness and n·v, and how far they are from exact."""
+    """What a model gives at one roughness and n·v, and how far it is from exact."""
 
     @property
     def error(self) -> float:
         """Largest change of any integral when the number of nodes is doubled."""
 
     def weights(self, albedo: Array, metallic: Array) -> Array:
-        """(..., 3, 16) in the pixel's own frame, of albedo (..., 3) and metallic (...,)."""
+        """(M, 3, 16) in the pixel's own frame, of albedo (M, 3) and metallic (M,)."""
 
 
-Reference = Callable[[float, float], Response]
-"""Of r and n·v: a BRDF by brute force."""
-
-MODELS: Mapping[str, Model] = {name: partial(shade, model=name) for name in MODEL_NAMES}
-"""What the package fits, by the names it has everywhere."""
+Model = Callable[[float, float], Response]
+"""Of r and n·v."""
 
 
-def integrated(reference: Reference) -> Model:
-    """Return a BRDF's integral as a model, for pixels in their own frame alone."""
+@dataclass(frozen=True)
+class Closed:
+    """What the package fits, by the name it has everywhere."""
 
-    def model(normal: Array, view: Array, albedo: Array, r: Array, m: Array) -> Array:
-        found = np.empty((*r.shape, 3, 16))
-        n_dot_v = np.einsum("...i,...i->...", normal, view)
-        for i in np.ndindex(*r.shape):
-            found[i] = reference(float(r[i]), float(n_dot_v[i])).weights(albedo[i], m[i])
-        return found
+    model: ModelName
+    r: float
+    n_dot_v: float
+    error: float = 0.0
 
-    return model
+    def weights(self, albedo: Array, metallic: Array) -> Array:
+        """As of `Response`."""
+        normals = np.broadcast_to(np.array([0.0, 0.0, 1.0]), albedo.shape)
+        views = np.broadcast_to(view(self.n_dot_v), albedo.shape)
+        roughness = np.full(metallic.shape, self.r)
+        return shade(normals, views, albedo, roughness, metallic, model=self.model)
 
 
 INTEGRATED = "paper, integrated"
 """Name of the paper's BRDF itself, where it is compared as a model."""
 
 COMPARED: Mapping[str, Model] = {
-    "paper": MODELS["paper"],
-    INTEGRATED: integrated(brute_force.respond),
-    "principled": MODELS["principled"],
+    "paper": partial(Closed, "paper"),
+    INTEGRATED: brute_force.respond,
+    "principled": partial(Closed, "principled"),
 }
 """All models that are compared with the principled BRDF."""
 
@@ -126,13 +123,11 @@ class Case:
         return f"r_{self.r:g}"
 
 
-def run(case: Case, _: int = 1) -> dict[str, Any]:
-    """`measure` of all that are compared."""
-    return measure(case)
-
-
-def measure(
-    case: Case, reference: Reference = principled.respond, models: Mapping[str, Model] = COMPARED
+def run(
+    case: Case,
+    _: int = 1,
+    reference: Model = principled.respond,
+    models: Mapping[str, Model] = COMPARED,
 ) -> dict[str, Any]:
     """Compare models with brute-force integration of one BRDF. M materials, V values of n·v.
 
@@ -144,13 +139,13 @@ def measure(
     """
     rings, shares = _rings(case.rings)
     power = band_power(random_lights(case.lights, np.random.default_rng(case.seed)))
-    true, changes = _true_weights(reference, case.r, case.n_dot_v)
-    on_sphere, on_rings = _true_weights(reference, case.r, rings)
+    true, changes = _weights(reference, case.r, case.n_dot_v)
+    on_sphere, on_rings = _weights(reference, case.r, rings)
     found = {}
     for name, model in models.items():
-        off = _weights(model, case.r, rings) - on_sphere
+        off = _weights(model, case.r, rings)[0] - on_sphere
         found[name] = {
-            "found": response(_weights(model, case.r, case.n_dot_v)).tolist(),
+            "found": response(_weights(model, case.r, case.n_dot_v)[0]).tolist(),
             "error": rms_radiance(off, shares, power).tolist(),
         }
     return {
@@ -193,19 +188,15 @@ def _rings(count: int) -> tuple[tuple[float, ...], Array]:
     return tuple(t**3), 3 * weights * t**5
 
 
-def _true_weights(reference: Reference, r: float, n_dot_v: Sequence[float]) -> tuple[Array, Array]:
-    """(M, V, 3, 16) by brute force, and (V,) how much they change with the number of nodes."""
-    exact = [reference(r, x) for x in n_dot_v]
-    weights = [one.weights(ALBEDO, METALLIC) for one in exact]
-    return np.stack(weights, axis=1), np.array([one.error for one in exact])
+def _weights(model: Model, r: float, n_dot_v: Sequence[float]) -> tuple[Array, Array]:
+    """(M, V, 3, 16) of a model, and (V,) how much they change with the number of nodes."""
+    found = [model(r, x) for x in n_dot_v]
+    weights = [one.weights(ALBEDO, METALLIC) for one in found]
+    return np.stack(weights, axis=1), np.array([one.error for one in found])
 
 
-def _weights(model: Model, r: float, n_dot_v: Sequence[float]) -> Array:
-    """(M, V, 3, 16) of a model, in the pixel's own frame."""
-    shape = (len(MATERIALS), len(n_dot_v))
-    views = np.broadcast_to(np.stack([view(x) for x in n_dot_v]), (*shape, 3))
-    normals = np.broadcast_to(np.array([0.0, 0.0, 1.0]), (*shape, 3))
-    albedo = np.broadcast_to(ALBEDO[:, None], (*shape, 3))
-    metallic = np.broadcast_to(METALLIC[:, None], shape)
-    found: Array = model(normals, views, albedo, np.full(shape, r), metallic)
-    return found
+def cases(options: Options) -> list[Case]:
+    """A case for each roughness of the table."""
+    return [
+        Case(r, options.n_dot_v, options.rings, options.lights, options.seed) for r in options.r
+    ]

@@ -34,16 +34,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pbrfit_evaluation.gap.brute_force import (
-    NODES,
-    integrate_lobe,
-    integrated_lobe,
-    schlick_parts,
-)
-
-Array = NDArray[np.float64]
+from pbrfit_evaluation.arrays import Array
+from pbrfit_evaluation.gap.brute_force import NODES, integrate_lobe, integrated_lobe, schlick_parts
 
 F0_DIELECTRIC = 0.04
 _INDEX = 1.5  # ((1.5 − 1) / (1.5 + 1))² = 0.04
@@ -93,18 +86,18 @@ class PrincipledResponse:
         return np.asarray(m * metal + (1 - m) * (multiple * self.glass + body))
 
 
-def respond(roughness: float, n_dot_v: float, nodes: int = NODES) -> PrincipledResponse:
+def respond(roughness: float, n_dot_v: float) -> PrincipledResponse:
     """Integrate the BRDF at a roughness and a view angle, both in (0, 1].
 
     Raises InputError if roughness or n·v lies outside its range.
     """
-    (base, grazing, glass), error = _integrals(roughness, n_dot_v, nodes)
+    (base, grazing, glass), error = _integrals(roughness, n_dot_v)
     return PrincipledResponse(base, grazing, glass, mean_albedo(roughness), error)
 
 
 @lru_cache(maxsize=4096)
-def _integrals(roughness: float, n_dot_v: float, nodes: int) -> tuple[Array, float]:
-    return integrated_lobe(roughness, n_dot_v, nodes, masking, _fresnel)
+def _integrals(roughness: float, n_dot_v: float) -> tuple[Array, float]:
+    return integrated_lobe(roughness, n_dot_v, masking, _fresnel)
 
 
 @lru_cache(maxsize=1024)

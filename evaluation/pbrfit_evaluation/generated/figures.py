@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from pbrfit_evaluation.generated.ways import GRID, PICTURED, WAYS, by_cycles
-from pbrfit_evaluation.grid.figures import Metrics, Of, pictures
-from pbrfit_evaluation.grid.figures import rows as grid_rows
+from pbrfit_evaluation.generated.measure import GRID, WAYS, by_cycles, cases, run
+from pbrfit_evaluation.grid.figures import Metrics, Of, grid_rows, pictures
+from pbrfit_evaluation.options import count
 from pbrfit_evaluation.panels import in_lines, unpacked
-from pbrfit_evaluation.suite import Column, Picture, Row, Section, Table
+from pbrfit_evaluation.scores import PROTOCOL as SCORES
+from pbrfit_evaluation.suite import Column, Picture, Row, Section, Suite, Table
 
 ERRORS = ("albedo_scaled", "roughness", "metallic", "relight_scaled")
 
@@ -52,6 +53,30 @@ def _pictures(results: Of) -> Iterator[Picture]:
         most = max(shown, key=lambda values: len(set(values["kinds"])))
         panels = in_lines({"": unpacked(most["inputs"])})
         yield Picture("inputs", "Stand-ins of the first room.", panels)
-    labels = {key: WAYS[key].words for key in PICTURED}
     caption = "The first room; relit by the first held-out light."
-    yield from pictures(results, labels, caption, by="condition")
+    yield from pictures(results, GRID.conditions, caption, by="condition")
+
+
+SUITE = Suite(
+    name="generated",
+    title="From one photograph, with stand-in pictures",
+    protocol=f"pbrfit-generated-1: {SCORES}; {{size}} pixels, {{pictures}} pictures, {{effort}}",
+    cases=cases,
+    run=run,
+    rows=rows,
+    sections=sections,
+    settings={
+        **GRID.settings(9700, count("K", "rooms", 4, 1), (64, 64), "ways"),
+        "pictures": count("N", "a room, the photograph among them", 13, 7),
+    },
+    about=(
+        "Textured rooms under soft lights, by Cycles with all light transport, stand for a "
+        "photograph and for pictures that a generator made of it: tone curves, drift, repainting, "
+        "another room. Fits with and without review, alignment, robust weights and exposure "
+        "handling, and by commands from photograph to Blender. Without Blender Cycles (make "
+        "cycles-env) and with --quick our own renderer makes the rooms.",
+        "Levels of damage build upon each other. Normals and segments are true unless a row says "
+        "otherwise. Brackets are 95 % intervals of means over rooms. The constant guess has "
+        "roughness 0.5, metallic 0 and the mean of the true albedo.",
+    ),
+)

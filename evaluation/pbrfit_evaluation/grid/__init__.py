@@ -9,15 +9,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, field
-from pathlib import Path
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any
 
 from pbrfit._core import InputError
 from pbrfit.model.reflection import Model
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.options import Add, absolute, count, first_seed, models, several
+from pbrfit.synthetic import make_scene
+from pbrfit_evaluation.options import Setting, count, first_seed, models, several
 from pbrfit_evaluation.panels import of_result, packed
 from pbrfit_evaluation.recipes import Way
 from pbrfit_evaluation.scores import score
@@ -25,6 +25,9 @@ from pbrfit_evaluation.suite import Options
 
 PICTURES = 16
 """Of a scene, unless `--lights` says otherwise; as many are held out."""
+
+NOISE = 0.01
+"""Standard deviation in radiance: 1 % of a radiance of 1, 2.5 % of the mean of 0.4."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +49,6 @@ class Case:
     """Of a fit."""
     picture: bool = False
     """Whether its maps are kept for the report."""
-    cycles_cache: Path | None = field(default=None, repr=False)
-    """Where renders by Cycles are kept."""
 
     @property
     def key(self) -> str:
@@ -55,9 +56,10 @@ class Case:
         about = (self.condition, self.way, self.kind, self.model or "", str(self.seed))
         return "_".join(filter(None, about))
 
-
-def _always(*_: object) -> str:
-    return ""
+    def drawn(self, **more: Any) -> Scene:
+        """The scene by our renderer; `more` as of `make_scene`."""
+        given = {"lights": self.lights, "held_out": self.lights} | more
+        return make_scene(self.kind, size=self.size, seed=self.seed, **given)
 
 
 @dataclass(frozen=True)
@@ -74,10 +76,13 @@ class Grid:
     of_condition: Mapping[str, Sequence[str]] = field(default_factory=dict)
     """Keys of the ways of a condition that has not all."""
     kinds: Sequence[str] = ("furnished",)
-    """Of scenes, in turn; `--kinds` takes precedence."""
+    """Of scenes, in turn."""
     pictured: Sequence[str] = ()
     """Conditions or ways whose first scene is pictured."""
-    why_not: Callable[[Options, str, str], str] = _always
+    few: Sequence[str] = ()
+    few_ways: Sequence[str] = ()
+    """`few` and `few_ways`: conditions and ways of a quick look, where these are not all."""
+    why_not: Callable[[Options, str, str], str] = lambda *_: ""
     """Why a condition or way cannot be run; empty if it can."""
     sized: Callable[[Options, str], tuple[int, int]] = lambda of, _: (of.scenes, of.size)
     """Scenes of a condition and the side of their pictures, where not all have the same."""
@@ -101,7 +106,6 @@ class Grid:
         lights = getattr(options, "lights", PICTURES)
         if lights < 2:
             raise InputError(f"--lights: expected at least 2, found {lights}")
-        kinds = getattr(options, "kinds", self.kinds)
         order = list(self.ways)
         return [
             Case(
@@ -109,12 +113,11 @@ class Grid:
                 way=way,
                 seed=options.first_seed + i,
                 size=size,
-                kind=kinds[i % len(kinds)],
+                kind=self.kinds[i % len(self.kinds)],
                 model=model,
                 lights=lights,
                 iterations=getattr(options, "iterations", 500),
                 picture=i == 0 and (condition in self.pictured or way in self.pictured),
-                cycles_cache=absolute(getattr(options, "cycles_cache", None)),
             )
             for condition, way in sorted(self.each(options), key=lambda one: order.index(one[1]))
             if not self.why_not(options, condition, way)
@@ -123,35 +126,33 @@ class Grid:
             for i in range(scenes)
         ]
 
-    def effort(
-        self, few: Sequence[str] = (), few_ways: Sequence[str] = ()
-    ) -> dict[str, tuple[Any, Any]]:
-        """Of a suite: all conditions and ways, with `--quick` a few where there are such."""
-        conditions, ways = tuple(self.conditions), tuple(self.ways)
-        return {"conditions": (conditions, few or conditions), "ways": (ways, few_ways or ways)}
+    @property
+    def words(self) -> dict[str, str]:
+        """What tables call each way, by key."""
+        return {key: way.words for key, way in self.ways.items()}
 
-    def options(
+    def settings(
         self,
-        seed: int | None,
-        flag: str = "--conditions",
-        few: Sequence[str] = (),
+        seed: int,
+        scenes: Setting,
+        size: tuple[int, int],
+        conditions: str = "",
         *,
-        default: str = "all",
-        ways: str = "--ways",
-        few_ways: Sequence[str] = (),
-        scenes: str = "of a condition",
-    ) -> tuple[Add, ...]:
-        """Options that such suites share; nothing was tuned on seeds from `seed` on."""
-        shared = [several(flag, "NAME", self.conditions, few, default=default, dest="conditions")]
-        if len(self.ways) > 1:
-            what = "only these ways to explain a scene"
-            shared.append(several(ways, "NAME", self.ways, few_ways, what=what, dest="ways"))
-        return (
-            *shared,
-            count("--scenes", "K", scenes),
-            count("--size", "PIXELS", "of the pictures"),
-            first_seed("scene", seed),
-        )
+        ways: str = "",
+    ) -> dict[str, Setting]:
+        """Settings that such suites share; nothing was tuned on seeds from `seed` on.
+
+        `conditions` and `ways` are the names of these options, where they are others.
+        """
+        what = "only these ways to explain a scene"
+        of_ways = several("NAME", self.ways, self.few_ways, what=what, name=ways)
+        return {
+            "conditions": several("NAME", self.conditions, self.few, name=conditions),
+            "ways": of_ways if len(self.ways) > 1 else replace(of_ways, flag=None),
+            "scenes": scenes,
+            "size": count("PIXELS", "of the pictures", *size),
+            "first_seed": first_seed("scene", seed),
+        }
 
 
 def measured(
@@ -169,7 +170,7 @@ def measured(
     result = way.explain(scene, **common)
     took = {"wall": time.perf_counter() - began[0], "processor": time.process_time() - began[1]}
     truth = truth or scene
-    found: dict[str, Any] = {"scores": score(result, truth, threads).as_json() | took}
+    found: dict[str, Any] = {"scores": score(result, truth, threads) | took}
     if case.picture:
         found["maps"] = packed(of_result(result, truth, threads))
     return result, found

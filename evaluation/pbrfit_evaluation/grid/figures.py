@@ -2,25 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from pbrfit_evaluation.arrays import worst
 from pbrfit_evaluation.grid import Case, Grid
 from pbrfit_evaluation.jobs import Values
 from pbrfit_evaluation.panels import beside_truth, unpacked
-from pbrfit_evaluation.suite import Picture, Results, Row, Verdict
+from pbrfit_evaluation.suite import Picture, Results, Row, Section, Verdict
 
 Of = Results[Case]
 Metrics = Mapping[str, float | None]
-
-MAPS = ("albedo", "roughness", "metallic")
-
-
-def each(grid: Grid, results: Of) -> Iterator[tuple[str, str, Of]]:
-    """Conditions and ways that were asked for, with their cases."""
-    for condition, way in grid.each(results.options):
-        yield condition, way, results.of(condition=condition, way=way)
 
 
 def by_seed(results: Of, condition: str, way: str, *path: str) -> dict[int, float]:
@@ -29,7 +21,7 @@ def by_seed(results: Of, condition: str, way: str, *path: str) -> dict[int, floa
     return {case.seed: of.of(seed=case.seed).average(*path) for case, _ in of.finished}
 
 
-def rows(
+def grid_rows(
     grid: Grid,
     results: Of,
     metrics: Sequence[str],
@@ -37,7 +29,8 @@ def rows(
 ) -> list[Row]:
     """A row a condition and way: means of the scores, and what more is made of its cases."""
     found = []
-    for condition, key, of in each(grid, results):
+    for condition, key in grid.each(results.options):
+        of = results.of(condition=condition, way=key)
         way, why = grid.ways[key], grid.why_not(results.options, condition, key)
         status = f"not run: {why}" if why else of.status("scenes")
         values: dict[str, float | None] = {}
@@ -67,29 +60,38 @@ class Bar:
 
 def ratios(results: Of, bar: Bar) -> dict[str, float]:
     """By score what a bar judges; NaN where cases are missing."""
-    one, other = (
-        None if of is None else results.of(condition=of[0], way=of[1]) for of in (bar.of, bar.over)
-    )
-    assert one is not None
-    return {
-        name: one.average("scores", name) if other is None else one.over(other, name)
-        for name in bar.names
-    }
+    one = results.of(condition=bar.of[0], way=bar.of[1])
+    if bar.over is None:
+        return {name: one.average("scores", name) for name in bar.names}
+    other = results.of(condition=bar.over[0], way=bar.over[1])
+    return {name: one.over(other, name) for name in bar.names}
 
 
-def verdicts(results: Of, bars: Iterable[Bar]) -> Iterator[Verdict]:
+def of_bars(results: Of, bars: Iterable[Bar]) -> Iterator[Verdict]:
     """Bars between cases that were both asked for; without any that finished nothing holds."""
     there = {(case.condition, case.way) for case, _ in results.pairs}
     for bar in bars:
         if {bar.of, bar.over or bar.of} <= there:
             found = ratios(results, bar)
-            worst = max(found, key=lambda name: _size(found[name]))
-            where = worst.replace("_", ", ") if len(found) > 1 else ""
-            yield Verdict(bar.what, found[worst], bar.most, where, part=bar.part)
+            value, name = worst(found)
+            where = name.replace("_", ", ") if len(found) > 1 else ""
+            yield Verdict(bar.what, value, bar.most, where, part=bar.part)
 
 
-def _size(value: float) -> float:
-    return math.inf if math.isnan(value) else value
+def of_most(what: str, held: Mapping[int, float], least: int, part: str = "") -> Verdict:
+    """How many scenes hold, by seed, of which it has to be at least so many."""
+    missed = [str(seed) for seed, good in held.items() if not good]
+    where = f"not: {', '.join(missed)}" if missed else ""
+    return Verdict(what, len(held) - len(missed), least, where, at_least=True, part=part)
+
+
+def sheets(
+    title: str, results: Of, grid: Grid, caption: str, name: str = "maps", by: str = "way"
+) -> Iterator[Section]:
+    """A section of sheets of maps, where cases are pictured; see `pictures`."""
+    labels = grid.words if by == "way" else grid.conditions
+    if found := pictures(results, labels, caption, name, by):
+        yield Section(title, figures=found)
 
 
 def pictures(
@@ -107,7 +109,5 @@ def pictures(
     found = []
     for sheet, of in sheets.items():
         kept = {labels[key]: unpacked(of[key]["maps"]) for key in labels if key in of}
-        first = next(iter(kept.values()))
-        shown = [one.removeprefix("true ") for one in first if one.startswith("true ")]
-        found.append(Picture(sheet, caption, beside_truth(kept, shown, "picture")))
+        found.append(Picture(sheet, caption, beside_truth(kept)))
     return found

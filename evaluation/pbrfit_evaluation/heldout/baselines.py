@@ -16,7 +16,6 @@ from functools import partial
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
 
 from pbrfit.export.rti import basis as polynomial
@@ -24,6 +23,7 @@ from pbrfit.export.rti import harmonics
 from pbrfit.fit.lamps.samples import grey_samples
 from pbrfit.model.lamps import Lamps
 from pbrfit.scene.scene import Scene
+from pbrfit_evaluation.arrays import Array, Mask
 from pbrfit_evaluation.heldout.light import (
     Score,
     combination,
@@ -32,8 +32,6 @@ from pbrfit_evaluation.heldout.light import (
     score,
     target,
 )
-
-Array = NDArray[np.float64]
 
 Interpolated = Literal["ptm", "hsh", "pca"]
 """Relightable images, which have no normals."""
@@ -184,7 +182,7 @@ def _grey(samples: Array, weights: Array) -> tuple[Array, Array]:
     return by_pixel.T, np.where(told.T, weights.max(axis=-1), 0.0)
 
 
-def _middle(grey: Array, told: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _middle(grey: Array, told: Mask) -> Mask:
     """(N, P): which samples (N, P) are told, and not `TRIMMED` at either end of their pixel's."""
     places = np.where(told, grey, np.inf).argsort(axis=0).argsort(axis=0)
     count = told.sum(axis=0)

@@ -10,16 +10,19 @@ from typing import Any
 
 from pbrfit.report.html import Cell
 from pbrfit_evaluation.heldout.light import Score, relative_error
-from pbrfit_evaluation.heldout.measure import IN_WORDS, OURS, WAYS, Task, Way
-from pbrfit_evaluation.heldout.public_sets import Source
-from pbrfit_evaluation.suite import Results, Row, Section, Table, Value, Verdict, digits
+from pbrfit_evaluation.heldout.measure import WAYS, Task, cases, run
+from pbrfit_evaluation.heldout.sources import Source
+from pbrfit_evaluation.options import count, several
+from pbrfit_evaluation.suite import Results, Row, Section, Suite, Table, Value, Verdict, digits
 
 MEAN_REGRET, WORST_REGRET = 1.05, 1.25
 """Bars of the default's regret: geometric mean over sets, and any set."""
 
-BESIDE: tuple[tuple[Way, float], ...]
 BESIDE = ("paper", 1.0), ("paper", 1.1), ("lambert", 1.0), ("nearest", 1.0)
 """What the default is held against, and how many times its error may be."""
+
+OURS = [key for key, way in WAYS.items() if not (way.baseline or way.lamps)]
+"""Ways that find materials and are told no lamps."""
 
 Of = Results[Task]
 
@@ -35,7 +38,7 @@ class OfSet:
     results: Of
 
     @cached_property
-    def errors(self) -> dict[Way, float]:
+    def errors(self) -> dict[str, float]:
         """Error of the held-out pictures by a way's own kind of light, of ways without failures."""
         found = {way: together(self.results.of(way=way), "own", error_of) for way in WAYS}
         return {way: error for way, error in found.items() if error is not None}
@@ -154,7 +157,7 @@ def _in_short(of_sets: Sequence[OfSet]) -> Table:
         both = [one.errors for one in of_sets if {"default", way} <= one.errors.keys()]
         held = sum(of["default"] <= factor * of[way] for of in both)
         most = "at most" if factor == 1 else f"at most {factor:g} times"
-        what = f"sets with {most} the error of: {IN_WORDS[way]}"
+        what = f"sets with {most} the error of: {WAYS[way].words}"
         lines += [[what, f"{held} of {len(both)}"]] if both else []
     return Table(["default", "found"], lines)
 
@@ -175,4 +178,40 @@ def _by_way(of_sets: Sequence[OfSet]) -> Table:
     all_of = {way: [one.errors[way] for one in of_sets if way in one.errors] for way in ways}
     means = [geometric_mean(of) if len(of) == len(of_sets) else None for of in all_of.values()]
     lines.append([f"geometric mean of {len(of_sets)} sets", *means])
-    return Table(["set", *(IN_WORDS[way] for way in ways)], lines)
+    return Table(["set", *(WAYS[way].words for way in ways)], lines)
+
+
+SUITE = Suite(
+    name="heldout",
+    title="Held-out pictures",
+    protocol="pbrfit-heldout-1: materials from the kept pictures, light of the held-out ones; RMSE "
+    "over RMS of all held-out pictures together, in values of the files, samples that are clipped "
+    "left out; {held_out} of at most {pictures} pictures held out at a time, {folds} folds, "
+    "{max_size} pixels",
+    cases=cases,
+    run=run,
+    rows=rows,
+    verdicts=verdicts,
+    sections=sections,
+    folders="scene folder, a public set as published, or a folder of such",
+    settings={
+        "ways": several("NAME", WAYS, ("default", "lambert", "nearest")),
+        "held_out": count("K", "pictures that are held out at a time", 1),
+        "folds": count("F", "so many times, spread evenly over the pictures", 4, 1),
+        "pictures": count("N", "of a set that are used at most, evenly chosen", 32, 6),
+        "max_size": count("PIXELS", "average larger pictures down to this longer side", 192, 32),
+    },
+    about=(
+        "Materials are fitted to the kept pictures of each set, then only the light of each "
+        "held-out picture. What is left of the values in its file, as they are stored, is the "
+        "error: so ways compare that read the files by different tone curves. It is also taken "
+        "with one far lamp and constant ambient light, whatever light a way found.",
+        "Regret is the error of the default over the least of the default, its flags and the "
+        "paper's recipe. “Lambert, rank 3” is a matt surface under unknown lamps, “known lamps” "
+        "photometric stereo by least squares; the nearest and the sum of kept pictures have a "
+        "factor a channel. All of these read the files both as sRGB and as linear; the better "
+        "counts. Relightable images (PTM, HSH, PCA) are told the lamp of a held-out picture where "
+        "it is known, else where a fit finds it.",
+        "A small error does not prove maps right: several materials may explain the same pictures.",
+    ),
+)

@@ -14,7 +14,6 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit.fit.lamps.picture_light import light_of_picture
 from pbrfit.model.geometry import view_directions
@@ -22,9 +21,7 @@ from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model, shade
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from pbrfit_evaluation.arrays import Array, Mask
 
 ROUNDS = 4
 """Of Gauss and Newton; the best of them counts."""

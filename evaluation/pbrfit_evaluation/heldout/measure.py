@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import base64
+import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from time import perf_counter, process_time
-from typing import Any, Literal, cast, get_args
+from typing import Any, Literal, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.export.rti import one_lamp_a_picture
-from pbrfit.fit.decompose import decompose
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.limits import AT_LEAST
 from pbrfit.model.geometry import angles_between
@@ -22,60 +21,49 @@ from pbrfit.model.lamps import Lamps
 from pbrfit.result.result import Result
 from pbrfit.result.sheet import outside_grey
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.heldout.baselines import (
-    Baseline,
-    Interpolated,
-    UnderKnown,
-    explained_by_kept,
-)
+from pbrfit_evaluation.arrays import Array, Mask, known
+from pbrfit_evaluation.estimator_errors import angle_errors
+from pbrfit_evaluation.heldout.baselines import Baseline, explained_by_kept
 from pbrfit_evaluation.heldout.light import ambient_terms, explained_by
-from pbrfit_evaluation.heldout.public_sets import Source
-from pbrfit_evaluation.heldout.sources import Opened, evenly, opened
-from pbrfit_evaluation.jobs import Values
-from pbrfit_evaluation.normal_errors import angle_errors
+from pbrfit_evaluation.heldout.sources import Opened, Source, asked_sources, evenly, opened
+from pbrfit_evaluation.jobs import Values, digest_of_files
 from pbrfit_evaluation.panels import packed
-from pbrfit_evaluation.recipes import PAPER
+from pbrfit_evaluation.recipes import PAPER, Way
+from pbrfit_evaluation.suite import Options
 
-Told = Literal["directions", "strengths"]
-"""What a default fit is told of the lamps, where it is known: how strong they are, too."""
 
-Way = Literal["default", "lamps", "linear", "lamps-linear", "sh-no-priors", "paper", Told, Baseline]
-WAYS: tuple[Way, ...] = get_args(Way)
+@dataclass(frozen=True)
+class OfPictures(Way):
+    """A way to explain pictures, and what it is told beside them."""
 
-IN_WORDS: dict[Way, str] = {
-    "default": "default",
-    "lamps": "lamps",
-    "linear": "linear",
-    "lamps-linear": "lamps, linear",
-    "sh-no-priors": "harmonics, no priors",
-    "paper": "paper's recipe",
-    "directions": "directions told",
-    "strengths": "directions, strengths told",
-    "lambert": "Lambert, rank 3",
-    "nearest": "nearest picture",
-    "sum": "sum of pictures",
-    "lambert-known": "Lambert, known lamps",
-    "lambert-trimmed": "the same, trimmed",
-    "ptm": "PTM",
-    "hsh": "HSH",
-    "pca": "PCA",
+    linear: bool = False
+    """That values in the files are linear."""
+    lamps: Literal["", "directions", "strengths", "found"] = ""
+    """Of the lamps, where it is known: their directions; how strong they are, too; or directions
+    that a fit finds where nobody knows them."""
+    baseline: bool = False
+    """Whether no materials are found (`baselines`)."""
+
+
+WAYS: Mapping[str, OfPictures] = {
+    "default": OfPictures("default"),
+    "lamps": OfPictures("lamps", {"light": "lamps"}),
+    "linear": OfPictures("linear", linear=True),
+    "lamps-linear": OfPictures("lamps, linear", {"light": "lamps"}, linear=True),
+    "sh-no-priors": OfPictures("harmonics, no priors", {"light": "sh", "priors": None}),
+    "paper": OfPictures("paper's recipe", {**PAPER.options, "model": "paper"}, PAPER.start),
+    "directions": OfPictures("directions told", lamps="directions"),
+    "strengths": OfPictures("directions, strengths told", lamps="strengths"),
+    "lambert": OfPictures("Lambert, rank 3", baseline=True),
+    "nearest": OfPictures("nearest picture", baseline=True),
+    "sum": OfPictures("sum of pictures", baseline=True),
+    "lambert-known": OfPictures("Lambert, known lamps", lamps="directions", baseline=True),
+    "lambert-trimmed": OfPictures("the same, trimmed", lamps="directions", baseline=True),
+    "ptm": OfPictures("PTM", lamps="found", baseline=True),
+    "hsh": OfPictures("HSH", lamps="found", baseline=True),
+    "pca": OfPictures("PCA", lamps="found", baseline=True),
 }
-
-FLAGS: Mapping[Way, Mapping[str, Any]] = {
-    "default": {},
-    "lamps": {"light": "lamps"},
-    "linear": {},
-    "lamps-linear": {"light": "lamps"},
-    "sh-no-priors": {"light": "sh", "priors": None},
-}
-"""Options of `decompose`; beside these, ways of `LINEAR` are told how files are encoded."""
-
-OURS: tuple[Way, ...] = (*FLAGS, "paper")
-"""Ways that find materials and are told no lamps."""
-
-LINEAR: tuple[Way, ...] = ("linear", "lamps-linear")
-
-Array = NDArray[np.float64]
+"""By key; words are those of tables."""
 
 LEAST_KEPT = 2
 
@@ -117,7 +105,7 @@ class Task:
     """One fold of one source, explained in one way."""
 
     source: Source
-    way: Way
+    way: str
     fold: int
     digest: str
     """Of the source's files."""
@@ -158,34 +146,33 @@ def run(task: Task, threads: int) -> Values:
     InputError
         If there are too few pictures, or the fit refuses them.
     """
-    way = task.way
+    way = WAYS[task.way]
     found = _opened(task, "linear" if task.linear else None)
-    if way in LINEAR:
+    if way.linear:
         if found.scene.response is None:
             return {"not_possible": "the encoding is known"}
         found = _opened(task, "linear")
     lamps = found.lamps
-    if way in get_args(Interpolated) and lamps is None:
+    if way.lamps == "found" and lamps is None:
         lamps = _found_lamps(replace(task, way="lamps", fold=0), threads)
-    if way in (*get_args(Told), *get_args(UnderKnown)) and lamps is None:
+    if way.lamps and lamps is None:
         return {"not_possible": "nobody knows the lamps"}
-    if way == "strengths" and lamps is not None and not lamps.colored:
+    if way.lamps == "strengths" and not known(lamps).colored:
         return {"not_possible": "nobody knows how strong the lamps are"}
     which = split(len(found.scene.images), task.held_out, task.folds, task.fold, task.keep)
     kept = found.scene.of_pictures(which.kept)
-    if way in get_args(Told):
-        assert lamps is not None
-        far = lamps if way == "strengths" else Lamps(lamps.pictures, lamps.places)
+    if way.lamps and not way.baseline:
+        far = known(lamps)
+        far = far if way.lamps == "strengths" else Lamps(far.pictures, far.places)
         kept = replace(kept, lamps=far.of_pictures(which.kept))
     judged = judged_at(found.scene, kept.valid)
     result, lamp = None, None
     began = perf_counter(), process_time()
-    if way in get_args(Baseline):
-        own, normals = explained_by_kept(
-            cast(Baseline, way), judged, which.kept, which.held_out, lamps
-        )
+    if way.baseline:
+        of = cast(Baseline, task.way)
+        own, normals = explained_by_kept(of, judged, which.kept, which.held_out, lamps)
     else:
-        result = fit(way, kept, threads)
+        result = way.explain(kept, threads=threads, refine_normals="auto")
         normals = result.normals
     seconds, processor = perf_counter() - began[0], process_time() - began[1]
     if result is not None:
@@ -225,26 +212,19 @@ def _found_lamps(task: Task, threads: int) -> Lamps | None:
     Relightable images need such; that they are of the held-out pictures, too, favours these.
     """
     scene = _opened(task, "linear" if task.linear else None).scene
-    result = fit("lamps", scene, threads)
+    result = WAYS["lamps"].explain(scene, threads=threads, refine_normals="auto")
     if not one_lamp_a_picture(result.lamps, len(scene.images)):
         return None
     directions, colors = result.lamps_seen()
     return Lamps(np.arange(len(scene.images)), directions, colors=colors)
 
 
-def judged_at(scene: Scene, valid: NDArray[np.bool_]) -> Scene:
+def judged_at(scene: Scene, valid: Mask) -> Scene:
     """The scene at some pixels; samples count unless they are clipped from above."""
     limits = scene.limits
     if limits is not None:
         limits = np.where(limits == AT_LEAST, limits, np.uint8(0))
     return replace(scene, mask=valid, limits=limits)
-
-
-def fit(way: Way, scene: Scene, threads: int) -> Result:
-    """Explain the pictures of a scene in one of `OURS`, or by default with what it is told."""
-    if way == "paper":
-        return PAPER.explain(scene, model="paper", threads=threads)
-    return decompose(scene, threads=threads, refine_normals="auto", **FLAGS.get(way, {}))
 
 
 def _chosen(result: Result) -> dict[str, Any]:
@@ -271,3 +251,20 @@ def _mapped(found: Array | None, true: Array | None) -> dict[str, Any]:
         off = angles_between(found, true) / LARGEST_SHOWN
         kept["error"] = packed({"error": outside_grey(np.clip(off, 0.0, 1.0))})
     return kept
+
+
+def cases(options: Options) -> list[Task]:
+    """All folds of all sources, in every way.
+
+    Raises InputError or FileNotFoundError if there are no pictures, or two sources have one name.
+    """
+    of = options.held_out, options.folds, options.pictures, options.max_size
+    return [
+        Task(source, way, fold, digest, *of)
+        for source in asked_sources(options.folders, os.environ)
+        for digest in [digest_of_files(source.folder)]
+        for count in [min(source.pictures, options.pictures)]
+        for fold in range(max(1, min(options.folds, count // options.held_out)))
+        for way in WAYS
+        if way in options.ways
+    ]

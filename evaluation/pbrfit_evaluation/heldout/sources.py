@@ -11,29 +11,213 @@ TPAMI 41, 2019), DiLiGenT10² (Ren et al., CVPR 2022), LUCES (Mecca et al., BMVC
 from __future__ import annotations
 
 import re
+import shutil
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.io import images
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.json_files import UNFIT, read_json, unfit
 from pbrfit.io.normal_files import find_normals
 from pbrfit.io.resampling import averaged_channels
 from pbrfit.model.lamps import Lamps
 from pbrfit.scene import folder as scene_folder
+from pbrfit.scene.completion import add_normals, picture_size
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.heldout.public_sets import ROOMS, SETS, Source, room_source
+from pbrfit_evaluation.arrays import Array, Floats, Mask, unit
 from pbrfit_evaluation.jobs import unlogged
-from pbrfit_evaluation.normal_errors import unit
 
-Array = NDArray[np.float64]
+
+@dataclass(frozen=True)
+class Source:
+    """One set of pictures, not read yet."""
+
+    name: str
+    """Fit for a file."""
+    folder: Path
+    kind: str
+    """Name of a public set, or "scene" for a scene folder."""
+    pictures: int
+    """How many."""
+    private: bool = False
+    """Whether its licence lets nothing of it be published."""
+    linear: bool = False
+    """Whether it says that the values in its files are linear."""
+
+
+@dataclass(frozen=True)
+class PublicSet:
+    """A set that can be had from its authors."""
+
+    find: Callable[[Path], list[Source]]
+    """Sources in its folder."""
+    write: Callable[[Source, Path], None]
+    """Writes a source as a scene folder, into a folder that exists and is empty."""
+
+
+# Bunny: arrays
+
+
+def _find_arrays(folder: Path) -> list[Source]:
+    sources = []
+    for path in sorted(folder.glob("*.npz")):
+        with np.load(path) as arrays:
+            count = len(arrays["images"])
+        sources.append(Source(path.stem, folder, folder.resolve().name, count))
+    return sources
+
+
+def _write_arrays(source: Source, folder: Path) -> None:
+    normals = np.load(source.folder / "gt_normal.npy")
+    valid = (images.read_data(source.folder / "mask.png")[..., 0] >= 0.5) & has_normal(normals)
+    with np.load(source.folder / f"{source.name}.npz") as arrays:
+        pictures = arrays["images"]
+    (folder / "images").mkdir()
+    for i, picture in enumerate(pictures):
+        channels = {name: picture[..., c].astype(np.float32) for c, name in enumerate("RGB")}
+        images.write_exr(folder / "images" / f"picture_{i:02d}.exr", channels)
+    _write_rest(folder, np.where(valid[..., None], normals, 0.0), valid, "")
+
+
+# Shrek, ball, brick sphere: one set of PNG files, seen by an orthographic camera
+
+
+# Shrek's stored normals are not (n+1)/2: beside a least-squares fit of the eight known lights, v is
+# SCALE n + OFFSET in each channel, with a residual of 0.005, as if stretched to fill [0, 1].
+NORMAL_SCALE = np.array([0.559, 0.561, 0.555])
+NORMAL_OFFSET = np.array([0.412, 0.412, 0.447])
+
+Normals = Callable[[Path, Sequence[Path]], tuple[Floats, Mask]]
+"""Normals of a set and the pixels that have one, from its folder and its pictures."""
+
+
+def _files(pattern: str, normals: Normals, settings: str = "") -> PublicSet:
+    """A set of one source, whose pictures are files."""
+
+    def find(folder: Path) -> list[Source]:
+        name = folder.resolve().name
+        return [Source(name, folder, name, len(list(folder.glob(pattern))))]
+
+    def write(source: Source, folder: Path) -> None:
+        paths = sorted(source.folder.glob(pattern))
+        found, valid = normals(source.folder, paths)
+        (folder / "images").mkdir()
+        for path in paths:
+            shutil.copy(path, folder / "images")
+        _write_rest(folder, found, valid, f"fov = 0\n{settings}")
+
+    return PublicSet(find, write)
+
+
+def _shrek_normals(folder: Path, _: Sequence[Path]) -> tuple[Floats, Mask]:
+    stored = images.read_data(folder / "normal.png")[..., :3]
+    normals = (stored - NORMAL_OFFSET) / NORMAL_SCALE
+    return normals, _inside(folder / "mask.png") & has_normal(normals)
+
+
+def _ball_normals(folder: Path, _: Sequence[Path]) -> tuple[Floats, Mask]:
+    path = folder / "mask.png"
+    normals, valid = sphere_normals(images.read_data(path)[..., 0] >= 0.5, str(path))
+    return normals, valid & _inside(path)
+
+
+def _brick_normals(folder: Path, paths: Sequence[Path]) -> tuple[Floats, Mask]:
+    seen = np.any([images.read_data(path).max(axis=-1) > 0 for path in paths], axis=0)
+    return sphere_normals(seen, str(folder))
+
+
+def _inside(path: Path) -> Mask:
+    """Fully white pixels less a border: those on the outline are part background."""
+    from scipy.ndimage import binary_erosion
+
+    return np.asarray(binary_erosion(images.read_data(path)[..., 0] == 1.0))
+
+
+RADIUS_SHARE = 0.98
+"""Share of a sphere's radius that is used: pixels further out are part background, and their
+normals turn by ten degrees and more within a pixel."""
+
+
+def sphere_normals(disc: Mask, name: str) -> tuple[Array, Mask]:
+    """Normals (H, W, 3) of a sphere seen from far away, and the pixels (H, W) that have one.
+
+    `disc` (H, W) is where the sphere is seen, `name` that of the file. Raises InputError if it is
+    no disc.
+    """
+    rows, columns = (np.flatnonzero(disc.any(axis=axis)) for axis in (1, 0))
+    found = "nothing"
+    if rows.size:
+        height, width = (float(np.ptp(at)) + 1 for at in (rows, columns))
+        radius = (height + width) / 4
+        fill = np.count_nonzero(disc) / (np.pi * radius**2)
+        if abs(height - width) <= 0.02 * radius and abs(fill - 1) <= 0.02:
+            y, x = np.indices(disc.shape, dtype=np.float64)
+            right = (x - (columns[0] + columns[-1]) / 2) / radius
+            up = ((rows[0] + rows[-1]) / 2 - y) / radius
+            inside = right**2 + up**2 < RADIUS_SHARE**2
+            towards = np.sqrt(np.where(inside, 1 - right**2 - up**2, 0.0))
+            return np.stack([right, up, towards], axis=-1), inside & disc
+        found = f"{width:.0f} × {height:.0f} pixels, of which {100 * fill:.0f} % of a disc are set"
+    raise InputError(f"{name}: expected the disc of a sphere, found {found}")
+
+
+# Multi-illumination: photographs of rooms
+
+ROOMS = "mit_multi_illumination"
+
+
+def _find_rooms(folder: Path) -> list[Source]:
+    rooms = [one for one in sorted(folder.iterdir()) if one.is_dir() and scene_folder.is_scene(one)]
+    return [room_source(room) for room in rooms]
+
+
+def room_source(folder: Path) -> Source:
+    """Pictures in the layout of that set, without normals."""
+    pictures = len(scene_folder.locate(folder).pictures)
+    return Source(folder.resolve().name, folder, ROOMS, pictures)
+
+
+def _write_room(source: Source, folder: Path) -> None:
+    for path in scene_folder.locate(source.folder).pictures:
+        shutil.copy(path, folder)
+    (folder / "scene.toml").write_text("fov = 60\n", encoding="utf-8")
+    add_normals(folder, np.broadcast_to([0.0, 0.0, 1.0], (*picture_size(folder), 3)))
+
+
+def has_normal(normals: Floats) -> Mask:
+    """Pixels with a normal that pbrfit does not refuse."""
+    length = np.linalg.norm(normals, axis=-1)
+    return np.asarray(np.isfinite(length) & (length >= 0.5))
+
+
+def _write_rest(folder: Path, normals: Floats, valid: Mask, settings: str) -> None:
+    planes = {name: normals[..., i].astype(np.float32) for i, name in enumerate("XYZ")}
+    images.write_exr(folder / "normals.exr", planes)
+    images.write_png(folder / "mask.png", np.where(valid, 255, 0).astype(np.uint8), tag=None)
+    (folder / "scene.toml").write_text(settings, encoding="utf-8")
+
+
+SETS: dict[str, PublicSet] = {
+    # rendered bunny, glossy and matt: github.com/yasumat/RobustPhotometricStereo, its .npy
+    # pictures in one .npz a material, as `images`
+    "bunny_ps": PublicSet(_find_arrays, _write_arrays),
+    # rendered figure and ball: github.com/visiont3lab/photometric_stereo, .bmp files as .png
+    "visiont3lab_shrek": _files("*[0-9].png", _shrek_normals),
+    "visiont3lab_ball3": _files("*[0-9].png", _ball_normals),
+    # rendered brick sphere: github.com/maxcrous/photometric-stereo, as .png
+    "maxcrous_sphere_color": _files("Sphere_*.png", _brick_normals, 'color_space = "linear"\n'),
+    # photographs of rooms under a flash (Murmann et al. 2019)
+    ROOMS: PublicSet(_find_rooms, _write_room),
+}
+"""By name of the folder."""
+
 
 SET, NORMALS = "set.json", ("normals.npz", "Normal_gt.mat", "normals.mat")
 """Of a scene folder, beside what pbrfit reads: what it is, and files of true normals to compare
@@ -135,11 +319,9 @@ def _sources_at(path: Path) -> list[Source]:
         return [room_source(path)]
     said = _said(path)
     licence = str(said.get("licence", ""))
-    about = "; ".join(str(said[key]) for key in ("what", "source", "licence") if said.get(key))
     pictures = len(scene_folder.locate(path).pictures)
     private, linear = licence.startswith(UNLICENSED), said.get("pixels_are_linear") is True
-    about = about or "scene folder, as it is"
-    return [Source(name, path, "scene", pictures, about, private, linear)]
+    return [Source(name, path, "scene", pictures, private, linear)]
 
 
 def _said(folder: Path) -> dict[str, Any]:

@@ -4,15 +4,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, by_seed
-from pbrfit_evaluation.grid.figures import rows as grid_rows
-from pbrfit_evaluation.grid.figures import verdicts as of_bars
-from pbrfit_evaluation.normals.measure import MAPS, REFINE, TRUE, exact, rooms, turn_of
+from pbrfit.commands.arguments import value
+from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, by_seed, grid_rows, of_bars, of_most
+from pbrfit_evaluation.normals.measure import (
+    DISTURBANCES,
+    PARTS,
+    REFINE,
+    TRUE,
+    cases,
+    grid_of,
+    is_exact,
+    run,
+    turn_of,
+)
+from pbrfit_evaluation.options import Setting, count, first_seed, several, threads
 from pbrfit_evaluation.plots import draw, dress, mark, panels, png
-from pbrfit_evaluation.suite import Picture, Row, Section, Table, Verdict
+from pbrfit_evaluation.scores import MAPS
+from pbrfit_evaluation.suite import Picture, Row, Section, Suite, Table, Verdict
 
 MAPS_AND_RELIGHT = (*MAPS, "relight")
 METRICS = ("recon", *MAPS_AND_RELIGHT)
@@ -41,9 +53,6 @@ MOST = 0.5
 """More than this share of the scenes without noise must come back."""
 
 
-# ----------------------------------------------------------------------------------------- rooms
-
-
 def won_back(results: Of, condition: str, metric: str, way: str) -> float:
     """Share of what wrong normals cost in the mean that refining wins back.
 
@@ -65,24 +74,38 @@ def angle_left(of: Of) -> float:
     return of.average("angle", "mean") / before if before else math.nan
 
 
-def room_rows(results: Of) -> list[Row]:
+def rows(results: Of) -> list[Row]:
     """A row a disturbance, θ and fit."""
 
     def more(condition: str, way: str, of: Of) -> Metrics:
+        if is_exact(condition):
+            came_back = {"came_back": of.average("came_back")}
+            angle = {"angle_mean": of.average("angle", "mean")}
+            return of.metrics(MAPS, "scores") | angle | came_back
         angles = of.metrics(ANGLES, "angle")
-        metrics = {f"angle_{angle}": value for angle, value in angles.items()}
+        metrics = of.metrics((*METRICS, "seconds"), "scores")
+        metrics |= {f"angle_{angle}": value for angle, value in angles.items()}
         if way != "off" and condition != TRUE:
             for metric in MAPS_AND_RELIGHT:
                 metrics[f"{metric}_won_back"] = won_back(results, condition, metric, way)
             metrics["angle_left"] = angle_left(of)
         return metrics | {"share_refined": of.average("decision", "refined")}
 
-    return grid_rows(rooms(results.options), results, (*METRICS, "seconds"), more)
+    return grid_rows(grid_of(results.options), results, (), more)
 
 
-def room_verdicts(results: Of, _: object) -> Iterator[Verdict]:
-    """Enough is won back, and nothing spoilt."""
-    for condition, title in rooms(results.options).conditions.items():
+def verdicts(results: Of, _: object) -> Iterator[Verdict]:
+    """Enough is won back, and nothing spoilt; without noise most scenes come back."""
+    yield from (replace(one, part="rooms") for one in _of_rooms(results))
+    for condition, title in grid_of(results.options).conditions.items():
+        back = by_seed(results, condition, "on", "came_back") if is_exact(condition) else {}
+        if back:
+            what = f"{title}: scenes of {len(back)} that came back"
+            yield of_most(what, back, math.floor(MOST * len(back)) + 1, "exact")
+
+
+def _of_rooms(results: Of) -> Iterator[Verdict]:
+    for condition, title in grid_of(results.options).conditions.items():
         _kind, degrees = turn_of(condition)
         of = results.of(condition=condition, way=JUDGED)
         if not of.finished or degrees not in ANGLE_LEFT:
@@ -105,22 +128,26 @@ def room_verdicts(results: Of, _: object) -> Iterator[Verdict]:
         yield Verdict(what, of_true.average("angle", "mean"), INTRODUCED)
 
 
-def room_sections(results: Of, rows: Sequence[Row]) -> Iterator[Section]:
-    """Errors; what is won back; error against θ."""
-    plots = [_room_plot(results)] if results.finished else []
-    yield Section(
-        "Errors against the disturbance",
-        "Won back is "
-        "(not refined - refined) / (not refined - floor), of means over scenes; the floor is the "
-        "fit without refinement at true normals. scenes.csv says why auto decided as it did.",
-        [Table.of(rows)],
-        plots,
-    )
+def sections(results: Of, rows: Sequence[Row]) -> Iterator[Section]:
+    """Errors; what is won back; error against θ; scenes without noise."""
+    conditions = grid_of(results.options).conditions
+    exact = {title for condition, title in conditions.items() if is_exact(condition)}
+    if "rooms" in results.options.part:
+        yield Section(
+            "Errors against the disturbance",
+            "Won back is (not refined - refined) / (not refined - floor), of means over scenes; "
+            "the floor is the fit without refinement at true normals. scenes.csv says why auto "
+            "decided as it did.",
+            [Table.of([row for row in rows if row.name not in exact])],
+            [_room_plot(results)] if results.finished else [],
+        )
+    if "exact" in results.options.part:
+        yield Section("Figures", tables=[Table.of([row for row in rows if row.name in exact])])
 
 
 def _room_plot(results: Of) -> Picture:
     """A row of panels a disturbance, a panel an error, a line a fit."""
-    conditions = rooms(results.options).conditions
+    conditions = [one for one in grid_of(results.options).conditions if not is_exact(one)]
     paths = {f"{m}, RMSE": ("scores", m) for m in MAPS_AND_RELIGHT}
     paths["mean angle, degrees"] = ("angle", "mean")
     kinds = dict.fromkeys(turn_of(one)[0] for one in conditions if one != TRUE)
@@ -146,31 +173,40 @@ def _room_plot(results: Of) -> Picture:
     return Picture("normals", caption, png(figure))
 
 
-# ----------------------------------------------------------------------------------------- exact
-
-
-def exact_rows(results: Of) -> list[Row]:
-    """A row a disturbance."""
-
-    def more(_: str, __: str, of: Of) -> Metrics:
-        return {
-            "angle_mean": of.average("angle", "mean"),
-            "came_back": of.average("came_back"),
-        }
-
-    return grid_rows(exact(results.options), results, MAPS, more)
-
-
-def exact_verdicts(results: Of, _: object) -> Iterator[Verdict]:
-    """Most scenes come back."""
-    for condition, title in exact(results.options).conditions.items():
-        back = by_seed(results, condition, "on", "came_back")
-        if back:
-            missed = [str(seed) for seed, came in back.items() if not came]
-            yield Verdict(
-                f"{title}: scenes of {len(back)} that came back",
-                len(back) - len(missed),
-                math.floor(MOST * len(back)) + 1,
-                f"not: {', '.join(missed)}" if missed else "",
-                at_least=True,
-            )
+SUITE = Suite(
+    name="normals",
+    title="Wrong normals, refined",
+    protocol="pbrfit-normals-1, {effort}",
+    cases=cases,
+    run=run,
+    rows=rows,
+    verdicts=verdicts,
+    sections=sections,
+    settings={
+        "part": several("NAME", PARTS, what="only these parts"),
+        "threads": threads,
+        "disturbances": several("KIND", DISTURBANCES),
+        "degrees": Setting(
+            (1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 25.0),
+            (10.0,),
+            value(
+                "THETA",
+                float,
+                "sizes of the disturbance (default: 1 2 5 10 15 20 25, with --quick 10); true "
+                "normals are always there",
+                nargs="+",
+            ),
+        ),
+        "scenes": count("K", "rooms", 12, 2),
+        "size": count("PIXELS", "of the rooms' pictures", 128, 32),
+        "iterations": count("K", "of a fit", 500, 100),
+        "first_seed": first_seed("room", 7000),
+    },
+    about=(
+        "What wrong normals cost, and how much of it comes back when they are refined together "
+        "with materials and lights: scenes whose ground truth is known, their normals disturbed "
+        "by 1 to 25 degrees, with noise and without. docs/benchmarks/normals.md says what each "
+        "part measures, and what must hold. Judged is “auto”, the default; without noise “on”.",
+    ),
+    timed=True,
+)

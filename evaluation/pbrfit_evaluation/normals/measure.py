@@ -1,6 +1,22 @@
-"""One scene under one disturbance, fitted with or without refinement.
+"""Scenes with wrong normals of a chosen size, true ones turned; fitted with and without refinement.
 
 Part "rooms" has noise. Part "exact" has none, and everything should come back.
+
+Every normal is turned by a vector ω, axis times angle. A size θ, in degrees, means:
+
+correlated
+    ω is a Gaussian random field over `PATCH` of the width and, with `BIAS_SHARE` of its variance, a
+    bias that varies smoothly over `WHOLE` of the width. The root mean square over the picture of
+    each of its three components is θ. A turn about the normal itself changes nothing, so the mean
+    angle is that of two components, √(π/2) θ = 1.25 θ.
+biased
+    One ω of length θ for the whole picture, about an axis that is drawn evenly from all.
+estimator
+    The errors of a learned estimator (`estimator_errors`): outlines that are washed out, whole
+    objects turned, patches. All of it is made as much stronger or weaker as it takes for a mean
+    angle of 1.25 θ, that of a correlated disturbance.
+
+At the end normals that would face away from the camera are bent until they do not.
 """
 
 from __future__ import annotations
@@ -10,15 +26,85 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.random import Generator
 
+from pbrfit._core import InputError
+from pbrfit.model.geometry import angles_between
 from pbrfit.result.refinement import CHOICES
-from pbrfit.synthetic import make_scene
-from pbrfit_evaluation.grid import Case, Grid, measured
-from pbrfit_evaluation.normal_errors import Floats, angle_errors
-from pbrfit_evaluation.normals.disturbances import DISTURBANCES, disturbed
+from pbrfit.scene.scene import Scene
+from pbrfit_evaluation.arrays import Array, Mask, filled
+from pbrfit_evaluation.estimator_errors import angle_errors, as_estimated, facing, smooth, turned
+from pbrfit_evaluation.grid import NOISE, Case, Grid, measured
 from pbrfit_evaluation.recipes import Way
+from pbrfit_evaluation.scores import MAPS
 from pbrfit_evaluation.suite import Options
+
+DISTURBANCES = ("correlated", "biased", "estimator")
+
+PATCH, WHOLE = 0.06, 0.4
+"""Lengths of fields in shares of the picture's width."""
+
+BIAS_SHARE = 0.25
+
+MEAN_OF_THETA = float(np.sqrt(np.pi / 2))
+"""Mean angle by θ of a correlated disturbance, as long as angles are small."""
+
+STRONGEST = 64.0
+"""Times the errors of the estimator as it is."""
+
+
+def disturbed(scene: Scene, kind: str, degrees: float, seed: int) -> Array:
+    """Wrong normals (H, W, 3) for a scene whose normals are true; NaN outside the mask.
+
+    By a disturbance and its θ in degrees, of which 0 gives the normals back as they are. The same
+    seed gives the same pattern at every θ.
+    """
+    if not degrees:
+        return np.asarray(scene.normals, dtype=np.float64)
+    # A stream of its own, apart from those of the scene and of the table's estimator.
+    rng = np.random.default_rng([seed, 2, DISTURBANCES.index(kind)])
+    valid, views = scene.valid, filled(scene.views, scene.valid)
+    normals = filled(scene.normals, valid)
+    match kind:
+        case "correlated":
+            found = facing(turned(normals, _correlated(valid, degrees, rng)), views)
+        case "biased":
+            axis = rng.normal(size=3)
+            omega = np.broadcast_to(degrees * axis / np.linalg.norm(axis), normals.shape)
+            found = facing(turned(normals, omega), views)
+        case _:
+            found = _estimated(scene, normals, views, degrees, int(rng.integers(2**32)))
+    return np.where(valid[..., None], found, np.nan)
+
+
+def _correlated(valid: Mask, degrees: float, rng: Generator) -> Array:
+    omega = np.empty((*valid.shape, 3))
+    for i in range(3):
+        patch, whole = (smooth(valid.shape, scale, rng) for scale in (PATCH, WHOLE))
+        field = np.sqrt(1 - BIAS_SHARE) * patch + np.sqrt(BIAS_SHARE) * whole
+        # One picture shows few patches, whose mean square is not that of all pictures.
+        omega[..., i] = field * (degrees / np.sqrt(np.mean(field[valid] ** 2)))
+    return omega
+
+
+def _estimated(scene: Scene, normals: Array, views: Array, degrees: float, seed: int) -> Array:
+    from scipy.optimize import brentq
+
+    valid, aim = scene.valid, MEAN_OF_THETA * degrees
+    segments = np.zeros(valid.shape, int) if scene.segments is None else scene.segments
+
+    def by(strength: float) -> Array:
+        rng = np.random.default_rng(seed)  # the same errors at any strength
+        return as_estimated(normals, views, segments, rng, strength=strength)
+
+    def above(strength: float) -> float:
+        return float(angles_between(by(strength), normals)[valid].mean()) - aim
+
+    high = 1.0
+    while above(high) < 0 and high < STRONGEST:
+        high *= 2
+    return by(float(brentq(above, 0.0, high, xtol=1e-3)))
+
 
 REFINE: Mapping[str, Way] = {
     choice: Way(words, {"refine_normals": choice})
@@ -30,16 +116,13 @@ REFINE: Mapping[str, Way] = {
 }
 """Fits of a scene: "off", with which the others are compared, "auto" and "on"."""
 
-NOISE = 0.01
-"""In radiance: 1 % of a radiance of 1, 2.5 % of the mean."""
-
 KINDS = ("furnished", "furnished", "furnished", "detailed")
 """One scene in four has textures on everything."""
 
-MAPS = ("albedo", "roughness", "metallic")
-
 MATERIAL, ANGLE = 1e-2, 0.3
 """Largest RMSE of a map, and largest mean angle in degrees, of a scene that came back."""
+
+PARTS = ("rooms", "exact")
 
 TRUE = "true"
 """Condition of a scene with true normals."""
@@ -49,20 +132,23 @@ EXACT_DEGREES = 10.0
 """Disturbances without noise, and their θ."""
 
 
-def rooms(options: Options) -> Grid:
-    """Every disturbance by every θ that is asked for, and true normals."""
-    found = {TRUE: "true normals"}
-    for kind in DISTURBANCES:
-        for theta in sorted(set(options.degrees)) if kind in options.disturbances else ():
-            found[f"{kind}-{theta:g}"] = f"{kind} {theta:g}°"
-    return Grid(found, REFINE, kinds=KINDS)
+def grid_of(options: Options) -> Grid:
+    """Every disturbance by every θ that is asked for, and true normals; some without noise."""
+    found = {}
+    if "rooms" in options.part:
+        found[TRUE] = "true normals"
+        for kind in DISTURBANCES:
+            for theta in sorted(set(options.degrees)) if kind in options.disturbances else ():
+                found[f"{kind}-{theta:g}"] = f"{kind} {theta:g}°"
+    exact = [kind for kind in EXACT if kind in options.disturbances and "exact" in options.part]
+    titles = {f"exact-{kind}": f"no noise, {kind} {EXACT_DEGREES:g}°" for kind in exact}
+    on_alone = {condition: ["on"] for condition in titles}
+    return Grid(found | titles, REFINE, of_condition=on_alone, kinds=KINDS)
 
 
-def exact(options: Options) -> Grid:
-    """Disturbances without noise, as far as they are asked for."""
-    kinds = [kind for kind in EXACT if kind in options.disturbances]
-    titles = {f"exact-{kind}": f"no noise, {kind} {EXACT_DEGREES:g}°" for kind in kinds}
-    return Grid(titles, {"on": REFINE["on"]}, kinds=KINDS)
+def is_exact(condition: str) -> bool:
+    """Whether its scenes have no noise."""
+    return condition.startswith("exact-")
 
 
 def turn_of(condition: str) -> tuple[str, float]:
@@ -73,20 +159,13 @@ def turn_of(condition: str) -> tuple[str, float]:
 
 def run(case: Case, threads: int) -> dict[str, Any]:
     """Scores, angles and decision of a fit; without noise, whether the scene came back."""
-    noisy = not case.condition.startswith("exact")
-    scene = given = make_scene(
-        case.kind,
-        size=case.size,
-        lights=case.lights,
-        held_out=case.lights,
-        seed=case.seed,
-        noise=NOISE if noisy else 0.0,
-    )
+    noisy = not is_exact(case.condition)
+    scene = given = case.drawn(noise=NOISE if noisy else 0.0)
     if case.condition != TRUE:
         given = replace(scene, normals=disturbed(scene, *turn_of(case.condition), case.seed))
     result, found = measured(case, REFINE[case.way], given, threads, truth=scene)
-    found["given"] = off(given.normals, scene.normals, scene.valid)
-    found["angle"] = off(result.normals, scene.normals, scene.valid)
+    for name, of in (("given", given), ("angle", result)):
+        found[name] = angle_errors(of.normals[scene.valid], scene.normals[scene.valid])
     found["decision"] = {
         "refined": result.refinement.refined,
         "why": result.refinement.why,
@@ -103,6 +182,14 @@ def came_back(values: dict[str, Any]) -> bool:
     return bool(maps <= MATERIAL and values["angle"]["mean"] <= ANGLE)
 
 
-def off(found: Floats, true: Floats, valid: NDArray[np.bool_]) -> dict[str, float]:
-    """Angles between normals (H, W, 3) and the true ones over valid pixels, in degrees."""
-    return angle_errors(found[valid], true[valid])
+LARGEST = 45.0
+"""Degrees of a disturbance, at most."""
+
+
+def cases(options: Options) -> list[Case]:
+    """Scenes under every disturbance that is asked for; InputError if a size makes no sense."""
+    for theta in options.degrees:
+        if not 0 < theta <= LARGEST:
+            expected = f"expected more than 0 and at most {LARGEST:g}"
+            raise InputError(f"--degrees: {expected}, found {theta:g}")
+    return grid_of(options).cases(options)

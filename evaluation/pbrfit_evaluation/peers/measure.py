@@ -15,14 +15,14 @@ from pbrfit.display.tone import codes, encoded
 from pbrfit.model.materials import Materials
 from pbrfit.result import metrics
 from pbrfit.scene.scene import Scene
-from pbrfit.synthetic import make_scene
 from pbrfit_evaluation import cycles
-from pbrfit_evaluation.grid import Case, Grid, measured
-from pbrfit_evaluation.normal_errors import estimated
+from pbrfit_evaluation.arrays import Floats
+from pbrfit_evaluation.estimator_errors import estimated_normals
+from pbrfit_evaluation.grid import NOISE, Case, Grid, measured
 from pbrfit_evaluation.recipes import GUESS, Way, within
 from pbrfit_evaluation.suite import Options
 from pbrfit_evaluation.table1 import measure as table1
-from pbrfit_evaluation.table1.rows import BY_KEY as ROWS
+from pbrfit_evaluation.table1.measure import ROWS
 
 PEERS = ("marigold", "rgbx")
 
@@ -33,9 +33,6 @@ WAYS: Mapping[str, Way] = {
     "marigold": Way("Marigold-IID, one picture"),
     "rgbx": Way("RGB-X, one picture"),
 }
-
-NOISE = 0.01
-"""Standard deviation, in radiance; the pictures' mean is 0.4."""
 
 
 @dataclass(frozen=True)
@@ -75,16 +72,13 @@ def work(task: Task, threads: int) -> dict[str, Any]:
 
 def given(task: Case, threads: int = 0) -> Scene:
     """A scene as every method has it: noisy pictures, and normals of an estimator's quality."""
-    lights, seed = task.lights, task.seed
     if task.condition == "own":
-        exact = make_scene(
-            "furnished", size=task.size, lights=lights, held_out=lights, noise=NOISE, seed=seed
-        )
+        exact = task.drawn(noise=NOISE)
     else:
         exact = table1.cycles_scene(task, ROWS["cycles-panorama"], threads)
-        noise = np.random.default_rng(seed).normal(scale=NOISE, size=exact.images.shape)
+        noise = np.random.default_rng(task.seed).normal(scale=NOISE, size=exact.images.shape)
         exact = replace(exact, depth=None, images=exact.images + noise)
-    return replace(exact, normals=estimated(exact, seed))
+    return replace(exact, normals=estimated_normals(exact, task.seed))
 
 
 def evenly_lit(scene: Scene) -> int:
@@ -93,7 +87,7 @@ def evenly_lit(scene: Scene) -> int:
     Hard to read pictures, with much in the dark, would make peers worse than they are.
     """
 
-    def evenness(image: NDArray[np.floating[Any]]) -> float:
+    def evenness(image: Floats) -> float:
         grey = image.mean(axis=-1)[scene.valid]
         return float(np.percentile(grey, 10) / max(np.percentile(grey, 98), 1e-12))
 
@@ -112,8 +106,9 @@ def why_not(options: Options, condition: str, way: str) -> str:
 
     A peer is loaded to find out, and stays for `work` in this process.
     """
-    if condition == "cycles" and (options.quick or cycles.why_not()):
-        return "--quick leaves Cycles out" if options.quick else cycles.why_not() or ""
+    lacks = "--quick leaves Cycles out" if options.quick else cycles.why_not()
+    if condition == "cycles" and lacks:
+        return lacks
     if way not in PEERS:
         return ""
     peer = _loaded(way, getattr(options, way), options.device, options.longer_side)
@@ -154,3 +149,18 @@ def _loaded(method: str, model: str | None, device: str, longer_side: int) -> Pe
         return lambda picture, task: rgbx.maps(picture, seed=task.seed, steps=task.steps)
     except InputError as error:
         return str(error)
+
+
+def cases(options: Options) -> list[Task]:
+    """Every scene by every method that can run."""
+    return [
+        Task(
+            **vars(case),
+            **{
+                name: getattr(options, name)
+                for name in ("samples", "steps", "longer_side", "device")
+            },
+            checkpoint=getattr(options, case.way, None),
+        )
+        for case in GRID.cases(options)
+    ]

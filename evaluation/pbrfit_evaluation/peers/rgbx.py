@@ -42,8 +42,7 @@ WHAT = "RGB-X"
 class RgbToX:
     """The networks, loaded: `model`, `device` and errors are as of `MarigoldIID`.
 
-    `dtype` is as of `pbrfit.acquire.weights.placement`; `longer_side`, in pixels, that of the
-    picture that the network sees.
+    `longer_side`, in pixels, is that of the picture that the network sees.
     """
 
     def __init__(
@@ -51,11 +50,10 @@ class RgbToX:
         model: str = MODEL,
         *,
         device: str = "auto",
-        dtype: str = "auto",
         longer_side: int = 1000,
     ) -> None:
         weights.need("diffusion", "torch", "diffusers", "transformers")
-        where = weights.placement(device, dtype, what=WHAT, half="float16")
+        where = weights.placement(device, "auto", what=WHAT, half="float16")
         loader = partial(_load, where.torch_dtype)
         self._parts = weights.load(WHAT, model, loader=loader, marker="model_index.json").network
         self._device, self._dtype = where.device, where.torch_dtype

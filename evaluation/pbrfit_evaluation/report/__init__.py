@@ -4,38 +4,91 @@ from __future__ import annotations
 
 import argparse
 import csv
-import math
+import os
+import platform
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from html import escape
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from pbrfit.io.json_files import as_json, write_json
 from pbrfit.report import html
 from pbrfit.report.html import Cell, address, paragraph
-from pbrfit_evaluation.jobs import Record
-from pbrfit_evaluation.report.summary import machine, write_summary
+from pbrfit_evaluation.jobs import SUMMARY, Record
 from pbrfit_evaluation.suite import (
     Line,
     Picture,
+    Results,
     Row,
     Section,
     Suite,
     Table,
     Value,
     Verdict,
+    csv_files,
     digits,
 )
 
-PAGE = "report.html"
+CPUINFO = Path("/proc/cpuinfo")
 
-UNTOLD = frozenset(
-    {
-        *("command", "out", "overwrite", "resume", "quiet", "default_jobs", "part", "effort"),
-        *("quick", "docs", "jobs", "cluster", "cycles_cache", "spelled", "defaults"),
+_TOLD = ("name", "scenes", "solver", "metrics", "paper", "status")
+"""Of a row, in the summary."""
+
+
+def write_summary(
+    folder: Path,
+    protocol: str,
+    rows: Sequence[Row],
+    *,
+    command: str,
+    tables: Mapping[str, str],
+) -> None:
+    """Write `summary.json` into an existing folder.
+
+    `protocol` is name and version of how things were measured: results under one name compare.
+    `command` makes them again, without names of this machine; `tables` are those of the page as
+    Markdown, by title.
+    """
+    content = {
+        "protocol": protocol,
+        "command": command,
+        "date": f"{datetime.now(UTC):%Y-%m-%d}",
+        "version": version("pbrfit"),
+        "machine": machine(),
+        "rows": [{name: as_json(getattr(row, name)) for name in _TOLD} for row in rows],
+        "tables": [{"title": title, "markdown": text} for title, text in tables.items()],
     }
-)
-"""Options that a reader of a report does not ask for, or finds elsewhere in it."""
+    private = sorted({row.name for row in rows if row.private})
+    content |= {"private": private} if private else {}
+    write_json(folder / SUMMARY, content)
+
+
+def machine() -> dict[str, str | int]:
+    """What the measurements ran on."""
+    return {
+        "system": f"{platform.system()} {platform.machine()}",
+        "processor": _processor(),
+        "cores": os.cpu_count() or 1,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+    }
+
+
+def _processor() -> str:
+    try:
+        lines = CPUINFO.read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or "unknown"
+
+
+PAGE = "report.html"
 
 LONG = 40
 """Letters; longer text in a table is folded."""
@@ -52,20 +105,35 @@ class Outcome:
     failed: Sequence[Record]
 
 
-def write(folder: Path, suite: Suite, options: argparse.Namespace, found: Outcome) -> None:
+def outcome(suite: Suite[Any], results: Results[Any]) -> Outcome:
+    """What a suite makes of its records."""
+    rows = suite.rows(results)
+    return Outcome(
+        rows,
+        list(suite.verdicts(results, rows)),
+        list(suite.sections(results, rows)),
+        {**csv_files(results), **suite.files(results)},
+        results.failed,
+    )
+
+
+def write(folder: Path, suite: Suite[Any], options: argparse.Namespace, found: Outcome) -> None:
     """Write `report.html`, its plots and pictures, `NAME.md`, CSV files and `summary.json`."""
     sections = [*_judged(found.verdicts), *found.sections, *_failures(found.failed)]
     (folder / PAGE).write_text(
         _page(folder, suite.title, _opening(suite, options, found), sections), encoding="utf-8"
     )
-    texts = (_titled(section, one) for section in sections for one in section.tables)
+    texts = (
+        f"### {section.title}\n\n{markdown(table)}"
+        for section in sections
+        for table in section.tables
+    )
     (folder / f"{suite.name}.md").write_text("\n".join(texts), encoding="utf-8")
     for name, lines in found.files.items():
         if isinstance(lines, bytes):
             (folder / name).write_bytes(lines)
-            continue
-        columns = list(dict.fromkeys(column for line in lines for column in line))
-        write_csv(folder / name, columns, ([line.get(c) for c in columns] for line in lines))
+        else:
+            _write_csv(folder / name, lines)
     write_summary(
         folder,
         suite.protocol_of(options),
@@ -75,16 +143,15 @@ def write(folder: Path, suite: Suite, options: argparse.Namespace, found: Outcom
     )
 
 
-def command_of(suite: Suite, options: argparse.Namespace) -> str:
+def command_of(suite: Suite[Any], options: argparse.Namespace) -> str:
     """What makes the figures again: options that are not the defaults, folders by name."""
     words = ["pbrfit", "evaluate", suite.name, *(["--quick"] if options.quick else [])]
-    for name, spelled in options.spelled.items():
-        value = getattr(options, name)
-        full, quick = suite.effort.get(name, (options.defaults[name],) * 2)
-        if name in UNTOLD - {"part"} or value in (quick if options.quick else full, None, False):
-            continue
-        words += [spelled] if spelled else []
-        words += [] if value is True else [_told(value)]
+    words += [_told(options.folders)] if suite.folders and options.folders else []
+    for name, setting in suite.settings.items():
+        asked = getattr(options, name)
+        if setting.flag is not None and asked not in (getattr(setting, options.effort), None):
+            words.append(f"--{(setting.name or name).replace('_', '-')}")
+            words += [] if asked is True else [_told(asked)]
     return " ".join(words)
 
 
@@ -109,14 +176,14 @@ def lines(found: Outcome) -> list[str]:
     return markdown(tables[0]).splitlines() if tables else []
 
 
-def _opening(suite: Suite, options: argparse.Namespace, found: Outcome) -> list[str]:
+def _opening(suite: Suite[Any], options: argparse.Namespace, found: Outcome) -> list[str]:
     on = machine()
-    asked = {
-        name: value
-        for name, value in vars(options).items()
-        if name not in UNTOLD and value not in (None, False, [], ())
-    }
-    told = ", ".join(f"{name.replace('_', ' ')} {_told(value)}" for name, value in asked.items())
+    asked = {name: getattr(options, name) for name in suite.settings}
+    told = ", ".join(
+        f"{name.replace('_', ' ')} {_told(value)}"
+        for name, value in asked.items()
+        if value not in (None, False)
+    )
     bars = [verdict for verdict in found.verdicts if verdict.bar is not None]
     held = sum(verdict.holds for verdict in bars)
     return [
@@ -169,19 +236,14 @@ def _failures(failed: Sequence[Record]) -> Iterable[Section]:
         yield Section("What failed", "Failed cases are in no figure.", [table])
 
 
-def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Write CSV with a header line; numbers in full precision, None and NaN as empty cells."""
+def _write_csv(path: Path, lines: Sequence[Line]) -> None:
+    """Write CSV with a header line; numbers in full precision, NaN and what is not there empty."""
+    columns = dict.fromkeys(column for line in lines for column in line)
     with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        for row in rows:
-            writer.writerow([_text(cell) for cell in row])
-
-
-def _text(cell: object) -> str:
-    if cell is None or (isinstance(cell, float) and math.isnan(cell)):
-        return ""
-    return repr(float(cell)) if isinstance(cell, float) else str(cell)
+        writer = csv.DictWriter(file, list(columns))
+        writer.writeheader()
+        for line in lines:
+            writer.writerow({name: value for name, value in line.items() if value == value})
 
 
 # ------------------------------------------------------------------------------------- the page
@@ -212,7 +274,7 @@ def _dressed(table: Table) -> html.Table:
         Cell(text, "number" if number else "name" if len(text) <= LONG else "")
         for text, number in zip(table.columns, _numeric(table), strict=True)
     ]
-    return html.Table(columns, [list(map(_cell, row)) for row in table.rows], table.caption)
+    return html.Table(columns, [list(map(_cell, row)) for row in table.rows])
 
 
 def _numeric(table: Table) -> list[bool]:
@@ -230,11 +292,6 @@ def _cell(value: Value) -> Cell:
     if value is None or value != value:
         return Cell("–", "number")
     return Cell(digits(value), "number", float(value))
-
-
-def _titled(section: Section, table: Table) -> str:
-    caption = f"{table.caption}\n\n" if table.caption else ""
-    return f"### {section.title}\n\n{caption}{markdown(table)}"
 
 
 def markdown(table: Table) -> str:

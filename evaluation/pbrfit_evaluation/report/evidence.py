@@ -15,7 +15,6 @@ those rows, with the nameless ones below each. A test fails where page and summa
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,8 +24,8 @@ from types import MappingProxyType
 from typing import Any
 
 from pbrfit._core import InputError
-from pbrfit_evaluation.report import markdown
-from pbrfit_evaluation.report.summary import write_summary
+from pbrfit.io.json_files import read_json, write_json
+from pbrfit_evaluation.report import markdown, write_summary
 from pbrfit_evaluation.suite import Row, Table
 
 FOLDER = "evidence"
@@ -44,8 +43,6 @@ ABSENT = "\n*Not measured at this version yet.*\n\n"
 """What stands in place of a table whose summary is not there."""
 
 _MENTION = re.compile(rf"\b{FOLDER}/(?P<file>[A-Za-z0-9._-]+\.(?:png|webp|csv))\b")
-
-_NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?!\w)")
 
 
 def pages(docs: Path) -> list[Path]:
@@ -82,13 +79,12 @@ def publish(docs: Path, name: str, folder: Path) -> None:
     """
     if not docs.is_dir():
         raise InputError(f"{docs}: expected the documentation's folder, found none")
-    summary = _public(json.loads((folder / "summary.json").read_text(encoding="utf-8")))
+    summary = _public(read_json(folder / "summary.json", "a summary"))
     texts = {page: page.read_text(encoding="utf-8") for page in pages(docs)}
     filled = {page: _filled(page, text, name, summary) for page, text in texts.items()}
     to = docs / FOLDER
     to.mkdir(exist_ok=True)
-    content = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
-    (to / f"{name}.json").write_text(content + "\n", encoding="utf-8")
+    write_json(to / f"{name}.json", summary)
     for page, text in texts.items():
         for mention in _MENTION.finditer(text):
             file = mention["file"].removeprefix(f"{name}-")
@@ -180,8 +176,7 @@ def read(docs: Path, name: str) -> Mapping[str, Any]:
     path = docs / FOLDER / f"{name}.json"
     if not path.is_file():
         raise InputError(f"{path}: expected the summary of {name}, found none")
-    content: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    return content
+    return dict(read_json(path, f"the summary of {name}"))
 
 
 def provenance(summary: Mapping[str, Any]) -> str:
@@ -191,16 +186,3 @@ def provenance(summary: Mapping[str, Any]) -> str:
         f"`{summary['command']}`, {summary['date']}, pbrfit {summary['version']}, "
         f"{on['processor']}, {on['cores']} cores."
     )
-
-
-def figures(summary: Mapping[str, Any]) -> list[float]:
-    """Every number that a summary has, in its rows and in its tables."""
-    numbers = [
-        value
-        for row in summary["rows"]
-        for of in (row["metrics"], row["paper"] or {})
-        for value in of.values()
-        if value is not None
-    ]
-    texts = (table["markdown"] for table in summary["tables"])
-    return numbers + [float(number) for text in texts for number in _NUMBER.findall(text)]

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from scipy.stats import binomtest
 
-from pbrfit_evaluation.review.damage import REPAINTS
-from pbrfit_evaluation.review.measure import Task
-from pbrfit_evaluation.suite import Results, Row, Section, Table, Verdict
+from pbrfit_evaluation.options import Setting, first_seed
+from pbrfit_evaluation.review.measure import Task, cases, work
+from pbrfit_evaluation.review.pictures import REPAINTS
+from pbrfit_evaluation.suite import Results, Row, Section, Suite, Table, Verdict
 
 LEAST_CAUGHT = 0.95
 MOST_REFUSED = 0.05
@@ -24,7 +24,13 @@ GROUPS: dict[str, tuple[str, ...]] = {
 }
 """What has to be caught, by the damages it is made of."""
 
-EVERY = tuple(damage for kinds in GROUPS.values() for damage in kinds)
+JUDGED: dict[str, tuple[tuple[str, ...], bool]] = {
+    "all damage": (tuple(damage for kinds in GROUPS.values() for damage in kinds), True),
+    **{name: (kinds, True) for name, kinds in GROUPS.items()},
+    "honest": (("honest",), False),
+    "honest among damaged": (("honest",), True),
+}
+"""What is counted: kinds of damage, and whether judged among damaged pictures."""
 
 
 @dataclass(frozen=True)
@@ -51,32 +57,16 @@ class Rate:
         return f"{self.refused} of {self.pictures}"
 
 
-def _pictures(results: Results[Task]) -> Iterator[tuple[Task, Mapping[str, Any]]]:
-    return ((task, one) for task, values in results.finished for one in values["judged"])
-
-
-def rate(results: Results[Task], *damages: str, among_damaged: bool = True) -> Rate:
-    """Refused of the pictures with some kinds of damage; honest ones by where they were judged."""
-    refused = [
-        bool(one["refused"])
-        for _, one in _pictures(results)
-        if one["damage"] in damages and one["among_damaged"] == among_damaged
-    ]
-    return Rate(sum(refused), len(refused))
-
-
-def _rates(results: Results[Task]) -> dict[str, Rate]:
-    return {
-        **{name: rate(results, *kinds) for name, kinds in GROUPS.items()},
-        "honest": rate(results, "honest", among_damaged=False),
-        "honest among damaged": rate(results, "honest"),
-    }
-
-
 def _judged(results: Results[Task]) -> Iterator[tuple[str, Rate, Verdict]]:
     """What is counted, how many, and what the share has to be; of no pictures, nothing holds."""
-    for name, of in {"all damage": rate(results, *EVERY), **_rates(results)}.items():
-        honest = name.startswith("honest")
+    pictures = [one for _, values in results.finished for one in values["judged"]]
+    for name, (damages, among_damaged) in JUDGED.items():
+        refused = [
+            bool(one["refused"])
+            for one in pictures
+            if one["damage"] in damages and one["among_damaged"] == among_damaged
+        ]
+        of, honest = Rate(sum(refused), len(refused)), name.startswith("honest")
         bar = MOST_REFUSED if honest else LEAST_CAUGHT
         what = f"{name}: share refused"
         yield name, of, Verdict(what, of.share, bar, f"{of} pictures", at_least=not honest)
@@ -108,3 +98,42 @@ def sections(_: Results[Task], rows: Sequence[Row]) -> Iterator[Section]:
     """The rates; what each picture was is in judged.csv."""
     columns = ("refused", "pictures", "share")
     yield Section("Rates", "With intervals of 95 %.", [Table.of(rows, columns)])
+
+
+SOURCES = (
+    ("furnished", "cycles-full", 1),
+    ("furnished", "cycles", 4),
+    ("detailed", "cycles", 2),
+    ("furnished", "own", 3),
+    ("detailed", "own", 3),
+    ("textured", "own", 2),
+    ("room", "own", 1),
+    ("spheres", "own", 1),
+)
+"""Kinds of scenes, what renders them, and how many of each."""
+
+
+SUITE = Suite(
+    name="review",
+    title="What the review of generated pictures finds",
+    protocol="pbrfit-review-1: share of damaged pictures refused, and of honest ones",
+    cases=cases,
+    run=work,
+    rows=rows,
+    verdicts=verdicts,
+    sections=sections,
+    settings={
+        "first_seed": first_seed("scene of a source", 6000),
+        "sources": Setting(SOURCES, (("furnished", "own", 1), ("textured", "own", 1))),
+        "size": Setting(512, 256),
+        "pictures": Setting(16, 8),
+        "sets": Setting(3, 1),
+    },
+    about=(
+        "Renders of one view under many lights stand for the photograph and for pictures that a "
+        "generator made of it. Some are damaged on purpose, five in each set. The review judges "
+        "each against the photograph and then all together, as in `pbrfit generate`. Pictures are "
+        "8-bit sRGB. Without Blender Cycles (make cycles-env), which casts hard shadows, only our "
+        "own renders are judged.",
+    ),
+)

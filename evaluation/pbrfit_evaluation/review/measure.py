@@ -9,20 +9,18 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit.acquire.review import Reviewer, Verdict
 from pbrfit.synthetic import make_scene
+from pbrfit_evaluation import cycles
+from pbrfit_evaluation.arrays import Array
 from pbrfit_evaluation.jobs import Values
-from pbrfit_evaluation.review.damage import REPAINTS, Kind, damaged
-from pbrfit_evaluation.review.pictures import Renderer, camera, relights
-
-Array = NDArray[np.float64]
+from pbrfit_evaluation.review.pictures import REPAINTS, Kind, Renderer, camera, damaged, relights
+from pbrfit_evaluation.suite import Options
 
 
 @dataclass(frozen=True)
@@ -35,7 +33,6 @@ class Task:
     size: int
     pictures: int
     sets: int
-    cache: Path | None = field(default=None, repr=False)
 
     @property
     def source(self) -> str:
@@ -64,10 +61,9 @@ def work(task: Task, threads: int) -> Values:
         task.seed,
         size=task.size,
         count=task.pictures + 1,
-        cache=task.cache,
         threads=threads,
     )
-    pictures = [camera(picture) for picture in view.pictures]
+    pictures = [camera(picture) for picture in view.images]
     reviewer = Reviewer(pictures[0])
     found: list[dict[str, Any]] = []
 
@@ -96,7 +92,7 @@ def work(task: Task, threads: int) -> Values:
         done: dict[int, tuple[str, float]] = {}
         damages: list[Kind] = ["shift", "warp", *repaints]
         for i, kind in zip(chosen, damages, strict=False):
-            changed, amounts = damaged(view.pictures[i + 1], kind, view.segments, rng)
+            changed, amounts = damaged(view.images[i + 1], kind, view.segments, rng)
             members[i] = camera(changed)
             done[int(i)] = (kind, amounts.get("pixels", amounts.get("area", 0.0)))
         members[chosen[-1]] = _other_room(task, k)
@@ -119,3 +115,13 @@ def _other_room(task: Task, k: int) -> Array:
     seed = 100_000 + 10 * task.seed + k
     scene = make_scene(task.kind, size=task.size, lights=2, held_out=1, seed=seed)
     return camera(np.asarray(scene.images[0], np.float64))
+
+
+def cases(options: Options) -> list[Task]:
+    """All scenes; those by Cycles where it is there."""
+    return [
+        Task(kind, renderer, seed, options.size, options.pictures, options.sets)
+        for kind, renderer, scenes in options.sources
+        if renderer == "own" or not cycles.why_not()
+        for seed in range(options.first_seed, options.first_seed + scenes)
+    ]

@@ -15,8 +15,8 @@ import numpy as np
 
 from pbrfit._core import InputError
 from pbrfit.synthetic.world import World
+from pbrfit_evaluation.rooms.arrangement import draw_furnished
 from pbrfit_evaluation.rooms.detailed import draw_detailed
-from pbrfit_evaluation.rooms.furnished import draw_furnished
 from pbrfit_evaluation.rooms.textures import MaterialSet, load_textures
 
 __all__ = ["MaterialSet", "detailed", "furnished", "load_textures"]

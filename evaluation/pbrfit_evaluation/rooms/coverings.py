@@ -9,14 +9,124 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit.synthetic.geometry import Box, Cylinder, Primitive
-from pbrfit.synthetic.patterns import checker, clouds, grain, patches, planks, stripes, veins
+from pbrfit.synthetic.patterns import (
+    Pattern,
+    checker,
+    clouds,
+    edge,
+    grain,
+    patches,
+    planks,
+    stripes,
+    value_noise,
+    veins,
+)
 from pbrfit.synthetic.surfaces import METALS, Layers, Paint, Surface, blend
-from pbrfit_evaluation.rooms import patterns
+from pbrfit_evaluation.arrays import Array
 
-Array = NDArray[np.float64]
+
+def joints(
+    rng: np.random.Generator, length: float, height: float, *, running: bool, joint: float = 0.03
+) -> Pattern:
+    """1 in the joints between tiles or bricks of the plane y = 0, 0 on them.
+
+    Tiles are `length` along x and `height` along z; with `running`, every second row is shifted by
+    half a tile.
+    """
+    phase = rng.random(2)
+
+    def pattern(points: Array) -> Array:
+        row = points[:, 2] / height + phase[1]
+        column = points[:, 0] / length + phase[0]
+        if running:
+            column = column + 0.5 * (np.floor(row) % 2)
+        # Distance from the nearest joint, in metres.
+        across = (0.5 - np.abs(column - np.floor(column) - 0.5)) * length
+        along = (0.5 - np.abs(row - np.floor(row) - 0.5)) * height
+        return 1 - edge(np.minimum(across, along) / joint - 0.5, 0.25)
+
+    return pattern
+
+
+def tile_tones(rng: np.random.Generator, length: float, height: float) -> Pattern:
+    """Squares of a lattice in the plane y = 0, each of its own tone, with soft seams."""
+    tones = rng.random((8, 8))
+    phase = rng.random(2)
+
+    def pattern(points: Array) -> Array:
+        x, z = points[:, 0] / length + phase[0], points[:, 2] / height + phase[1]
+        i, j = np.floor(x), np.floor(z)
+        u, v = edge(x - i - 0.95, 0.05), edge(z - j - 0.95, 0.05)
+        a, b = i.astype(np.int64) % 8, j.astype(np.int64) % 8
+        here = (1 - u) * tones[a, b] + u * tones[(a + 1) % 8, b]
+        above = (1 - u) * tones[a, (b + 1) % 8] + u * tones[(a + 1) % 8, (b + 1) % 8]
+        return np.asarray((1 - v) * here + v * above)
+
+    return pattern
+
+
+def above(direction: Array, level: float, softness: float = 0.01) -> Pattern:
+    """1 where points reach beyond `level` along the unit vector `direction`, else 0."""
+    return lambda points: edge((points @ direction - level) / softness, 1.0)
+
+
+def border(half_x: float, half_z: float, inset: float, width: float, *, disc: bool) -> Pattern:
+    """Draw a band of `width`, `inset` from the border of a rectangle or disc of the plane y = 0."""
+
+    def pattern(points: Array) -> Array:
+        if disc:
+            inside = half_x - np.hypot(points[:, 0], points[:, 2])
+        else:
+            inside = np.minimum(half_x - np.abs(points[:, 0]), half_z - np.abs(points[:, 2]))
+        return edge((width / 2 - np.abs(inside - inset - width / 2)) / 0.02, 0.5)
+
+    return pattern
+
+
+def bands(rng: np.random.Generator, thinnest: float, thickest: float, share: float) -> Pattern:
+    """Bands of different widths across x, a random `share` of them 1, the others 0."""
+    widths = rng.uniform(thinnest, thickest, size=64)
+    borders = np.cumsum(widths) - widths.sum() / 2
+    tones = (rng.random(65) < share).astype(np.float64)
+
+    def pattern(points: Array) -> Array:
+        x = points[:, 0]
+        index = np.searchsorted(borders, x)
+        nearest = borders[np.clip(index - 1, 0, 63)]
+        blend = edge((x - nearest) / 0.008 - 0.5, 0.5)  # from the band before, past its border
+        before = tones[np.clip(index - 1, 0, 64)]
+        return np.asarray(before + blend * (tones[index] - before))
+
+    return pattern
+
+
+def chips(rng: np.random.Generator, scale: float, least: float, softness: float) -> Pattern:
+    """Islands with a ragged outline where noise is more than `least`."""
+    noise = value_noise(rng, scale, octaves=3)
+    return lambda points: edge(noise(points) - least, softness)
+
+
+def brushed(rng: np.random.Generator, axis: int) -> Pattern:
+    """Streaks along one object axis."""
+    noise = value_noise(rng, 0.05, octaves=2)
+    stretch = np.ones(3)
+    stretch[axis] = 0.06
+    return lambda points: edge(noise(points * stretch), 0.9)
+
+
+def weave(rng: np.random.Generator, period: float) -> Pattern:
+    """Checked cloth: two crossing sets of soft stripes."""
+    phase = rng.uniform(0, 2 * np.pi, size=3)
+
+    def pattern(points: Array) -> Array:
+        waves = edge(np.sin(2 * np.pi / period * points + phase), 0.4)
+        return np.asarray(waves.sum(axis=-1) / 3)
+
+    return pattern
+
+
 Rng = np.random.Generator
 
 # Linear Rec.709. Oak, light oak, pine, cherry, walnut, mahogany, ebony.
@@ -116,13 +226,13 @@ def metal(rng: Rng, primitive: Primitive) -> Surface:
     if finish == "brushed":
         streaks = replace(bare, roughness=bare.roughness + 0.2, albedo=0.92 * color)
         axis = 1 if isinstance(primitive, Box) else 0
-        return blend(bare, streaks, patterns.brushed(rng, axis))
+        return blend(bare, streaks, brushed(rng, axis))
     worn = replace(bare, roughness=min(bare.roughness + 0.25, 0.8), albedo=0.88 * color)
     smudges = (worn, patches(rng, 0.22))
     if finish == "worn":
         return Layers(bare, (smudges,))
     stain = paint(VERDIGRIS if kind in (1, 4, 5) else RUST, 0.8, rng)
-    return Layers(bare, (smudges, (stain, patterns.chips(rng, 0.3, 0.35, 0.12))))
+    return Layers(bare, (smudges, (stain, chips(rng, 0.3, 0.35, 0.12))))
 
 
 def wood(rng: Rng, primitive: Primitive) -> Surface:
@@ -142,7 +252,7 @@ def lacquer(rng: Rng, primitive: Primitive) -> Surface:
     base = drawn(DYES, 0.2, 0.6, rng)
     if rng.random() < 0.3:  # paint that came off its metal
         bare = Paint(METALS[rng.integers(len(METALS))], float(rng.uniform(0.3, 0.6)), 1.0)
-        return blend(base, bare, patterns.chips(rng, 0.25, 0.3, 0.1))
+        return blend(base, bare, chips(rng, 0.25, 0.3, 0.1))
     return blend(base, darker(base, 0.85, 0.1), clouds(rng, 0.3))
 
 
@@ -180,10 +290,10 @@ def textile(rng: Rng, _: Primitive) -> Surface:
     base, over = (paint(DYES[i], rng.uniform(0.75, 0.9), rng) for i in (first, second))
     cloth = rng.choice(["plain", "stripes", "checked", "leather"])
     if cloth == "stripes":
-        thin = (paint(DYES[third], 0.85, rng), patterns.bands(rng, 0.05, 0.12, 0.25))
+        thin = (paint(DYES[third], 0.85, rng), bands(rng, 0.05, 0.12, 0.25))
         return Layers(base, ((over, stripes(rng, rng.uniform(0.12, 0.2), axis=0)), thin))
     if cloth == "checked":
-        return blend(base, over, patterns.weave(rng, rng.uniform(0.14, 0.24)))
+        return blend(base, over, weave(rng, rng.uniform(0.14, 0.24)))
     if cloth == "leather":
         base = drawn(WOODS[[0, 3, 4, 6]], 0.35, 0.55, rng)
         return blend(base, darker(base, 0.6, 0.2), patches(rng, 0.2))
@@ -219,9 +329,7 @@ def _vein(base: Paint, rng: Rng) -> Paint:
 def books(rng: Rng, _: Primitive) -> Surface:
     """Spines side by side, in four colours."""
     paints = [paint(DYES[i], rng.uniform(0.4, 0.8), rng) for i in rng.permutation(len(DYES))[:4]]
-    return Layers(
-        paints[0], tuple((of, patterns.bands(rng, 0.035, 0.075, 0.4)) for of in paints[1:])
-    )
+    return Layers(paints[0], tuple((of, bands(rng, 0.035, 0.075, 0.4)) for of in paints[1:]))
 
 
 def paper(rng: Rng, _: Primitive) -> Surface:
@@ -261,7 +369,7 @@ def rug(rng: Rng, primitive: Primitive) -> Surface:
         field = stripes(rng, 0.3, axis=int(rng.choice([0, 2])))
     else:
         field = checker(rng, 0.45) if figure == "checker" else patches(rng, 0.25)
-    wide, thin = (patterns.border(x, z, *at, disc=disc) for at in ((-0.02, 0.17), (0.05, 0.05)))
+    wide, thin = (border(x, z, *at, disc=disc) for at in ((-0.02, 0.17), (0.05, 0.05)))
     return Layers(paints[0], tuple(zip(paints[1:], (field, wide, thin), strict=True)))
 
 
@@ -295,22 +403,22 @@ def shell_coverings(walls: tuple[Primitive, ...], rng: Rng) -> list[Surface]:
         elif kind == "brick":
             clay = paint(DYES[rng.choice([0, 2, 12])], 0.85, rng)
             base = darker(clay, 0.65, 0.0)
-            joint = patterns.joints(rng, 0.34, 0.16, running=True, joint=0.028)
+            joint = joints(rng, 0.34, 0.16, running=True, joint=0.028)
             layers = [
-                (clay, patterns.tile_tones(rng, 0.34, 0.16)),
+                (clay, tile_tones(rng, 0.34, 0.16)),
                 (paint(STONES[1], 0.9, rng), joint),
             ]
         elif kind == "tiles":
             glaze = drawn(DYES, 0.15, 0.35, rng)
             base, side = darker(glaze, 0.8, 0.0), rng.uniform(0.22, 0.34)
-            joint = patterns.joints(rng, side, side, running=False, joint=0.026)
+            joint = joints(rng, side, side, running=False, joint=0.026)
             grout = paint(STONES[rng.choice([0, 2])], 0.85, rng)
             layers = [(glaze, clouds(rng, 0.3)), (grout, joint)]
         if dado is not None and kind in ("paint", "accent", "wallpaper"):
             panel = darker(accent if kind != "accent" else plain, 0.7, -0.2)
-            layers.append((panel, patterns.above(-up, -(foot + dado))))
+            layers.append((panel, above(-up, -(foot + dado))))
         skirting = paint(DYES[rng.choice([0, 1])], 0.4, rng, 0.05)
-        layers.append((skirting, patterns.above(-up, -(foot + 0.1))))
+        layers.append((skirting, above(-up, -(foot + 0.1))))
         covers.append(Layers(base, tuple(layers)))
     return covers
 
@@ -339,9 +447,9 @@ def _floor(rng: Rng) -> Surface:
     first, second = rng.permutation(len(STONES))[:2]
     base = paint(STONES[first], rng.uniform(0.15, 0.5), rng)
     grout = paint(STONES[2], 0.85, rng)
-    joint = (grout, patterns.joints(rng, side, side, running=False))
+    joint = (grout, joints(rng, side, side, running=False))
     if kind == "tiles":
-        return Layers(base, ((darker(base, 0.6, 0.1), patterns.tile_tones(rng, side, side)), joint))
+        return Layers(base, ((darker(base, 0.6, 0.1), tile_tones(rng, side, side)), joint))
     if kind == "checker":
         over = paint(STONES[second], rng.uniform(0.15, 0.4), rng)
         return blend(base, over, checker(rng, 2 * side))

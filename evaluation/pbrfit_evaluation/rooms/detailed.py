@@ -12,17 +12,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit.synthetic.geometry import Plane, Primitive
 from pbrfit.synthetic.patterns import edge
 from pbrfit.synthetic.surfaces import METALS, Finish, Layers, Spots, Surface
 from pbrfit.synthetic.world import World
+from pbrfit_evaluation.arrays import Array
 from pbrfit_evaluation.rooms.coverings import DARKEST, LIGHTEST, LIGHTEST_METAL
-from pbrfit_evaluation.rooms.mapping import chart
-from pbrfit_evaluation.rooms.textures import MaterialSet
+from pbrfit_evaluation.rooms.textures import MaterialSet, chart
 
-Array = NDArray[np.float64]
 Rng = np.random.Generator
 Relief = Callable[[Array, Array], Array]
 """(P,) in about [-1, 1] at object-space points (P, 3) for pixels of this width (P,) in metres."""

@@ -9,9 +9,10 @@ import numpy as np
 
 from pbrfit.model.materials import Materials
 from pbrfit.scene.scene import Scene
-from pbrfit.synthetic import make_scene
+from pbrfit_evaluation.arrays import Array, known
 from pbrfit_evaluation.grid import Case, Grid, measured
-from pbrfit_evaluation.recipes import Array, Way, known
+from pbrfit_evaluation.recipes import Way
+from pbrfit_evaluation.scores import MAPS
 from pbrfit_evaluation.suite import Options
 
 NOISE = {"noise-0.004": 0.004, "noise-0.01": 0.01}
@@ -27,8 +28,6 @@ the picture at the ground truth itself; as they are, none but that of float64 ar
 
 MATERIAL = 1e-6
 """RMSE of a map that counts as exact."""
-
-MAPS = ("albedo", "roughness", "metallic")
 
 
 def _truth(scene: Scene) -> tuple[Materials, Array]:
@@ -74,8 +73,7 @@ def run(case: Case, threads: int) -> dict[str, Any]:
     Rooms are those of table1's base row: 16 pictures of mean radiance 0.4.
     """
     noise = NOISE.get(case.condition, 0.0)
-    lights: Any = {"lights": case.lights, "held_out": case.lights if noise else 1}
-    scene = make_scene(case.kind, size=case.size, seed=case.seed, noise=noise, **lights)
+    scene = case.drawn(noise=noise, held_out=case.lights if noise else 1)
     if case.condition == "exact":
         scene = replace(scene, images=scene.images.astype(np.float32))
     result, found = measured(case, WAYS[case.way], scene, threads)
@@ -84,10 +82,6 @@ def run(case: Case, threads: int) -> dict[str, Any]:
         rms = float(np.sqrt(np.mean(np.square(scene.images, dtype=np.float64))))
         scores["residual"] = scores["recon"] / rms
         scores["worst_map"] = max(scores[name] for name in MAPS)
-        scores["exact"] = is_exact(scores["residual"], scores["worst_map"], case.condition)
+        exact = scores["residual"] <= RESIDUAL[case.condition] and scores["worst_map"] <= MATERIAL
+        scores["exact"] = exact
     return {**found, "stop_reason": result.stop_reason}
-
-
-def is_exact(residual: float, worst_map: float, condition: str = "exact") -> bool:
-    """Whether residual and maps are within their bounds."""
-    return residual <= RESIDUAL[condition] and worst_map <= MATERIAL

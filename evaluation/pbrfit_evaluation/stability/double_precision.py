@@ -8,20 +8,17 @@ precision, not the arithmetic that is under test.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from pbrfit import _core
 from pbrfit.model.reflection import Model, ggx_band_weights, shade, shade_vjp
-
-Array = NDArray[np.float64]
-
-Figure = tuple[float, str]
-"""The worst of all that was tried, and where it was found."""
+from pbrfit_evaluation.arrays import Array, unit
 
 Rows = dict[str, dict[str, float]]
 """What was found, by case and key."""
@@ -184,7 +181,8 @@ class Compared:
     def block_error(self, block: slice) -> float:
         """Of a block of the gradient, relative to its norm."""
         true = self.true.gradient[block]
-        return ratio(_norm(self.gradient[block] - true), _norm(true))
+        off = np.linalg.norm(self.gradient[block] - true)
+        return ratio(float(off), float(np.linalg.norm(true)))
 
     def entry_error(self, block: slice, least: float = 0.0) -> float:
         """Worst entry of a block, relative to its natural scale plus `least`."""
@@ -195,12 +193,6 @@ class Compared:
 def compare(case: Case, threads: int) -> Compared:
     """Evaluate a case both ways."""
     return Compared(*case.problem(threads).value_and_grad(case.x), evaluate(case))
-
-
-def worst(figures: Mapping[str, float]) -> Figure:
-    """Value and name of the largest figure; one that is not a number beats them all."""
-    name = max(figures, key=lambda n: math.inf if math.isnan(figures[n]) else figures[n])
-    return float(figures[name]), name
 
 
 def ratio(error: float, size: float) -> float:
@@ -216,10 +208,6 @@ def worst_entry(errors: Array, scale: Array) -> float:
     relative = np.divide(errors, scale, out=np.full_like(errors, np.inf), where=scale > 0)
     relative[(errors == 0) & (scale == 0)] = 0
     return float(relative.max())
-
-
-def _norm(values: Array) -> float:
-    return float(np.linalg.norm(values))
 
 
 def _exact_sum(parts: list[Array]) -> Array:
@@ -283,3 +271,110 @@ class _Sizes:
                 pull_back(self._by_metallic).sum(axis=0)[None],
             ]
         )
+
+
+# ------------------------------------------------------------------- random and extreme pixels
+
+NEAR = 1e-8
+"""How near to a special value "near" is."""
+
+Change = Callable[[Generator, Case], Case]
+"""Gives random pixels something special."""
+
+
+def random_pixels(rng: Generator, count: int) -> Pixels:
+    """Draw materials all over their range, seen at all cosines from 0.05 to 1."""
+    views = unit(np.stack([*rng.uniform(-0.6, 0.6, (2, count)), np.ones(count)], axis=-1))
+    return Pixels(
+        seen_at(rng, views, rng.uniform(0.05, 1.0, count)),
+        views,
+        rng.uniform(0, 1, (count, 3)),
+        rng.uniform(0, 1, count),
+        rng.uniform(0, 1, count),
+    )
+
+
+def seen_at(rng: Generator, views: Array, cosine: Array) -> Array:
+    """Normals (P, 3) with the given n·v, turned about the view direction at random."""
+    across = unit(np.cross(views, rng.normal(size=views.shape)))
+    return np.asarray(cosine[:, None] * views + np.sqrt(1 - cosine**2)[:, None] * across)
+
+
+def random_lights(rng: Generator, count: int, variation: float = 0.5) -> Array:
+    """Lights (N, 16, 3) of radiance about 1, with bands that vary by `variation` and fall off."""
+    spread = np.repeat([0.3, 1.0, 0.6, 0.4], [1, 3, 5, 7])
+    lights = variation * spread[:, None] * rng.normal(size=(count, 16, 3))
+    lights[:, 0] += 2.0
+    return np.asarray(lights)
+
+
+def random_case(rng: Generator, pixels: int, pictures: int) -> Case:
+    """Pixels and lights, and pictures that have nothing to do with them: residuals like them."""
+    drawn, lighting = random_pixels(rng, pixels), random_lights(rng, pictures)
+    return Case(drawn, lighting, rng.uniform(0, 2, (pictures, pixels, 3)).astype(np.float32))
+
+
+def _with_roughness(center: float, low: float, high: float, rng: Generator, case: Case) -> Case:
+    """Roughness within [low, high] of `center`, one pixel in eight exactly on it."""
+    r = center + rng.uniform(low, high, len(case.pixels))
+    r[::8] = center
+    return replace(case, pixels=replace(case.pixels, roughness=r))
+
+
+def grazing(lowest: float, away: int, rng: Generator, case: Case) -> Case:
+    """n·v from 1 to ten to the power of `lowest`; one in `away` faces away, none if 0."""
+    cosine = 10.0 ** rng.uniform(lowest, 0, len(case.pixels))
+    if away:
+        cosine[::away] *= -1
+    normals = seen_at(rng, case.pixels.views, cosine)
+    return replace(case, pixels=replace(case.pixels, normals=normals))
+
+
+def _on_bounds(rng: Generator, case: Case) -> Case:
+    # Albedo, roughness and metallic exactly 0 or 1, in all combinations.
+    n = len(case.pixels)
+    albedo = rng.integers(0, 2, (n, 3)).astype(np.float64)
+    roughness, metallic = rng.integers(0, 2, (2, n)).astype(np.float64)
+    pixels = replace(case.pixels, albedo=albedo, roughness=roughness, metallic=metallic)
+    return replace(case, pixels=pixels)
+
+
+def scaled(low: float, high: float, rng: Generator, case: Case) -> Case:
+    """Pictures of different exposure, log-uniform between low and high."""
+    scale = np.exp(rng.uniform(np.log(low), np.log(high), (len(case.lighting), 1, 1)))
+    scale[0], scale[-1] = low, high
+    images = (case.images * scale).astype(np.float32)
+    return Case(case.pixels, case.lighting * scale, images)
+
+
+def _dark_channel(_: Generator, case: Case) -> Case:
+    # Blue is black in light and picture, in half of the pictures in the picture alone.
+    lighting, images = case.lighting.copy(), case.images.copy()
+    images[..., 2] = 0
+    lighting[: len(lighting) // 2, :, 2] = 0
+    return Case(case.pixels, lighting, images)
+
+
+_AT_ALL_ANGLES = partial(grazing, -7, 8)
+"""From facing the camera to beyond the clamp."""
+
+
+def _everything(rng: Generator, case: Case) -> Case:
+    for change in (_AT_ALL_ANGLES, _on_bounds, partial(scaled, 1e-6, 1e6), _dark_channel):
+        case = change(rng, case)
+    return case
+
+
+KINDS: Mapping[str, Change] = {
+    "random": lambda _, case: case,
+    "r near 0": partial(_with_roughness, 0.0, 0.0, NEAR),
+    "r near 1": partial(_with_roughness, 1.0, -NEAR, 0.0),
+    "r across 0.4": partial(_with_roughness, 0.4, -NEAR, NEAR),
+    "n·v from 1 to 10⁻⁷, or negative": _AT_ALL_ANGLES,
+    "ρ, r, m exactly 0 or 1": _on_bounds,
+    "lights × 10⁻⁶": partial(scaled, 1e-6, 1e-6),
+    "lights × 10⁶": partial(scaled, 1e6, 1e6),
+    "lights × 10⁻⁶ … 10⁶ in one problem": partial(scaled, 1e-6, 1e6),
+    "blue dark": _dark_channel,
+    "grazing, on bounds, mixed lights, blue dark": _everything,
+}

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,21 +23,19 @@ from pbrfit.result.result import Result
 from pbrfit.result.verdict import PARAMETERS, ROUGH_ERROR
 from pbrfit.scene.arrays import Truth
 from pbrfit.scene.scene import Scene
+from pbrfit_evaluation.arrays import Array
 from pbrfit_evaluation.jobs import Values, unlogged
 from pbrfit_evaluation.stability.double_precision import (
     MIN_COSINE,
-    Array,
     Case,
+    Change,
     Rows,
     compare,
-    worst_entry,
-)
-from pbrfit_evaluation.stability.extreme_pixels import (
-    Change,
     grazing,
     random_case,
     scaled,
     seen_at,
+    worst_entry,
 )
 from pbrfit_evaluation.stability.stiff_fits import nonsense
 
@@ -58,14 +57,10 @@ ITERATIONS = 20
 """Of a fit at most."""
 
 
-def _one_of(name: str, *values: float) -> Change:
+def _one_of(name: str, values: Sequence[float], rng: Generator, case: Case) -> Case:
     """Each value of a map is one of these."""
-
-    def change(rng: Generator, case: Case) -> Case:
-        drawn: Any = {name: rng.choice(np.array(values), getattr(case.pixels, name).shape)}
-        return replace(case, pixels=replace(case.pixels, **drawn))
-
-    return change
+    drawn: Any = {name: rng.choice(np.array(values), getattr(case.pixels, name).shape)}
+    return replace(case, pixels=replace(case.pixels, **drawn))
 
 
 def _alike(_: Generator, case: Case) -> Case:
@@ -94,10 +89,10 @@ def _one_lit(rng: Generator, case: Case) -> Case:
 
 METALS = "m 0 or 1"
 SURFACES: Mapping[str, Change] = {
-    "r 0, 10⁻³, 1 − 10⁻⁷ or 1": _one_of("roughness", 0.0, 1e-3, 1 - 1e-7, 1.0),
-    METALS: _one_of("metallic", 0.0, 1.0),
-    "ρ 0 or 1": _one_of("albedo", 0.0, 1.0),
-    "n·v from 10⁻⁴": grazing(-4.0),
+    "r 0, 10⁻³, 1 − 10⁻⁷ or 1": partial(_one_of, "roughness", (0.0, 1e-3, 1 - 1e-7, 1.0)),
+    METALS: partial(_one_of, "metallic", (0.0, 1.0)),
+    "ρ 0 or 1": partial(_one_of, "albedo", (0.0, 1.0)),
+    "n·v from 10⁻⁴": partial(grazing, -4.0, 0),
     "pixels alike": _alike,
 }
 HIDING: Mapping[str, Change] = {"black": _black, "white": _white, "one pixel lit": _one_lit}
@@ -106,7 +101,7 @@ HIDING: Mapping[str, Change] = {"black": _black, "white": _white, "one pixel lit
 PICTURES: Mapping[str, Change] = {
     "two pictures": lambda _, case: Case(case.pixels, case.lighting[:2], case.images[:2]),
     **HIDING,
-    "exposures 10⁻⁶ to 10⁶": scaled(1e-6, 1e6),
+    "exposures 10⁻⁶ to 10⁶": partial(scaled, 1e-6, 1e6),
 }
 
 

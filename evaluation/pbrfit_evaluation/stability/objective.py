@@ -11,12 +11,16 @@ from numpy.random import Generator
 from pbrfit._core import InputError
 from pbrfit.report.notation import scientific
 from pbrfit_evaluation.jobs import Values
-from pbrfit_evaluation.stability.double_precision import Case, Rows, compare, worst_entry
-from pbrfit_evaluation.stability.extreme_pixels import (
+from pbrfit_evaluation.scores import MAPS
+from pbrfit_evaluation.stability.double_precision import (
     KINDS,
+    Case,
+    Rows,
+    compare,
     random_case,
     random_lights,
     random_pixels,
+    worst_entry,
 )
 
 PICTURES = 8
@@ -165,11 +169,10 @@ MIRROR = "roughness of 10⁻³²³ to 10⁻³⁰⁸"
 BLACK = "no light, black pictures"
 UNLIT = "no light"
 
-MATERIALS = ("albedo", "roughness", "metallic")
 MUST_BE_ZERO = {
-    BLACK: (*MATERIALS, "lights"),
-    UNLIT: MATERIALS,
-    DIM: MATERIALS,
+    BLACK: (*MAPS, "lights"),
+    UNLIT: MAPS,
+    DIM: MAPS,
     MIRROR: ("roughness",),
 }
 """Blocks of the gradient that are 0."""

@@ -14,8 +14,9 @@ import numpy as np
 from pbrfit.threads import one_blas_thread
 from pbrfit_evaluation.jobs import Values
 from pbrfit_evaluation.stability import edges, objective, stiff_fits
-from pbrfit_evaluation.stability.double_precision import ROUNDING, Figure, worst
+from pbrfit_evaluation.stability.double_precision import ROUNDING
 from pbrfit_evaluation.stability.objective import ALIKE, MANY, ONE_SIGN, RANDOM
+from pbrfit_evaluation.suite import Options
 
 # Of the loss relative to itself, of entries of the gradient relative to their natural scale, of
 # blocks of it relative to their norm, of sums of equal terms.
@@ -30,8 +31,7 @@ _ENTRY = "worst entry over its natural scale"
 _TERMS = "worst entry over its terms"
 
 Measure = Callable[..., Values]
-"""Random numbers, threads and the section's sizes -> `rows`: what was found, by case and key;
-or `figures`: by key the worst of all."""
+"""Random numbers, threads and the section's sizes -> `rows`: what was found, by case and key."""
 
 
 @dataclass(frozen=True)
@@ -199,19 +199,14 @@ class Task:
 
 
 def run(task: Task, threads: int) -> Values:
-    """Measure one section; a figure is the worst of its key in all rows."""
+    """Measure one section."""
     section = SECTIONS[task.section]
     rng = np.random.default_rng([task.seed, 1 + list(SECTIONS).index(task.section)])
     # Small matrices: more BLAS threads only get into each other's way, and change the last bits.
     with one_blas_thread():
-        values = section.measure(rng, threads, *task.sizes)
-    return {"figures": worst_of(task.section, values.get("rows", {})), **values}
+        return section.measure(rng, threads, *task.sizes)
 
 
-def worst_of(section: str, rows: Mapping[str, Mapping[str, float]]) -> Mapping[str, Figure]:
-    """The worst of each key that has a bound, over all rows that have it."""
-    found = {
-        key: {name: row[key] for name, row in rows.items() if key in row}
-        for key in SECTIONS[section].bounds
-    }
-    return {key: worst(of) for key, of in found.items() if of}
+def cases(options: Options) -> list[Task]:
+    """All sections."""
+    return [Task(section, getattr(options, section), options.seed) for section in SECTIONS]

@@ -7,6 +7,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from pbrfit.commands.arguments import choice
+from pbrfit.model.reflection import DEFAULT_MODEL, MODELS
 from pbrfit.result.verdict import (
     LEVELS,
     PARAMETERS,
@@ -15,12 +17,12 @@ from pbrfit.result.verdict import (
     USABLE_ERROR,
     USABLE_MAX,
 )
-from pbrfit_evaluation.grid.figures import Metrics, Of
-from pbrfit_evaluation.grid.figures import rows as grid_rows
+from pbrfit_evaluation.arrays import Array
+from pbrfit_evaluation.grid.figures import Metrics, Of, grid_rows
+from pbrfit_evaluation.options import count, fixed
 from pbrfit_evaluation.plots import draw, dress, mark, panels, png
-from pbrfit_evaluation.suite import Picture, Row, Section, Table, Value, Verdict, digits
-from pbrfit_evaluation.uncertainty.conditions import CONDITIONS, GROUPS, Condition
-from pbrfit_evaluation.uncertainty.measure import GRID, Array
+from pbrfit_evaluation.suite import Picture, Row, Section, Suite, Table, Value, Verdict, digits
+from pbrfit_evaluation.uncertainty.measure import CONDITIONS, GRID, GROUPS, run
 
 COVERED = (0.9, 0.99)
 """Share of the errors within two deviations, at least and at most: of a Gaussian 0.954."""
@@ -45,26 +47,15 @@ def rows(results: Of) -> list[Row]:
     """A row a condition: of each map means over scenes."""
 
     def more(_: str, __: str, of: Of) -> Metrics:
-        return {
-            f"{name}_{key}": value
-            for name in PARAMETERS
-            for key, value in _of_map(of, name).items()
-        }
+        found: dict[str, float | None] = {}
+        for name in PARAMETERS:
+            means = {key: of.average("said", name, key) for key in METRICS}
+            over = means["rmse"] / means["guess"] if means["guess"] else math.nan
+            of_map = {**means, **of.metrics(["within_2"], "said", name), "over_guess": over}
+            found |= {f"{name}_{key}": value for key, value in of_map.items()}
+        return found
 
     return grid_rows(GRID, results, ("seconds",), more)
-
-
-def _conditions(results: Of) -> Iterator[tuple[Condition, Of]]:
-    """Those with a finished scene, in their order."""
-    for name, condition in CONDITIONS.items():
-        if (of := results.of(condition=name)).finished:
-            yield condition, of
-
-
-def _of_map(of: Of, name: str) -> dict[str, float | None]:
-    means = {key: of.average("said", name, key) for key in METRICS}
-    over = means["rmse"] / means["guess"] if means["guess"] else math.nan
-    return {**means, **of.metrics(["within_2"], "said", name), "over_guess": over}
 
 
 # -------------------------------------------------------------------------------------- verdicts
@@ -90,11 +81,8 @@ def _row_verdicts(row: Row) -> Iterator[Verdict]:
 
     within, over = of_maps("within_2"), of_maps("over_guess")
     low, high = COVERED
-    least, most, worst = (
-        min(within, key=lambda name: within[name]),
-        max(within, key=lambda name: within[name]),
-        max(over, key=lambda name: over[name]),
-    )
+    least, most = min(within, key=within.__getitem__), max(within, key=within.__getitem__)
+    worst = max(over, key=over.__getitem__)
     what = f"{row.name}: share of errors within two deviations"
     yield Verdict(f"{what}, least", within[least], low, least, at_least=True)
     yield Verdict(f"{what}, largest", within[most], high, most)
@@ -153,9 +141,8 @@ def _expected(results: Of) -> Picture:
         for place, group in enumerate(GROUPS):
             found = [
                 values["said"][name]
-                for condition, of in _conditions(results)
-                if condition.group == group
-                for _, values in of.finished
+                for case, values in results.finished
+                if CONDITIONS[case.condition].group == group
             ]
             x, y = (
                 [max(one[key], LEAST_ERROR) for one in found] for key in ("expected_error", "rmse")
@@ -173,3 +160,29 @@ def _expected(results: Of) -> Picture:
         f"diagonal. What is below {LEAST_ERROR:g} is drawn there."
     )
     return Picture("verdicts", caption, png(figure))
+
+
+SUITE = Suite(
+    name="uncertainty",
+    title="Is the uncertainty right?",
+    protocol="pbrfit-uncertainty-2: values of maps within their deviations and intervals, RMSE of "
+    "maps by their verdicts; {size} pixels, model {model}, {effort}",
+    cases=GRID.cases,
+    run=run,
+    rows=rows,
+    verdicts=verdicts,
+    sections=sections,
+    settings={
+        **GRID.settings(9300, count("K", "of a condition", 10, 1), (64, 32), "rows"),
+        "model": fixed(
+            DEFAULT_MODEL, choice(MODELS, "that is fitted, of `pbrfit decompose --model`")
+        ),
+    },
+    about=(
+        "Rooms with known materials, 16 pictures each, fitted with all defaults. In some rows the "
+        "pictures are as the model has them, in others something is wrong that no fit knows of: "
+        "normals, field of view, order of the lights or reflection model, files of 8 bits, "
+        "shadows, bounced light, lamps. A posterior is right where the errors of its values are "
+        "as large as it says, whatever is wrong. docs/uncertainty.md says what must hold.",
+    ),
+)

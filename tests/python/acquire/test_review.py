@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from pbrfit import InputError
 from pbrfit.acquire.review import LOG_CHANGE_MIN, Reviewer, illumination
-from pbrfit_evaluation.review.damage import damaged
-from pbrfit_evaluation.review.pictures import View, camera, relights
+from pbrfit.scene.scene import Scene
+from pbrfit_evaluation.review.pictures import camera, damaged, relights
 
 Array = NDArray[np.float64]
 
@@ -21,13 +21,13 @@ SIZE, COUNT = 256, 9
 
 
 @cache
-def view() -> View:
+def view() -> Scene:
     return relights("furnished", "own", 2020, size=SIZE, count=COUNT)
 
 
 @cache
 def pictures() -> tuple[Array, ...]:
-    return tuple(camera(picture) for picture in view().pictures)
+    return tuple(camera(picture) for picture in view().images)
 
 
 @cache
@@ -61,13 +61,13 @@ def test_the_photograph_with_another_tone_curve_is_a_copy(gamma: float) -> None:
 
 @pytest.mark.parametrize(("gain", "word"), [(1e-3, "black"), (200.0, "clipped")])
 def test_pictures_of_nothing_are_refused(gain: float, word: str) -> None:
-    verdict = reviewer().picture(camera(gain * view().pictures[1]))
+    verdict = reviewer().picture(camera(gain * view().images[1]))
     assert failed(verdict) == {"exposure"}
     assert word in verdict.reason
 
 
 def test_another_view_is_refused() -> None:
-    other = relights("furnished", "own", 2021, size=SIZE, count=2).pictures[1]
+    other = relights("furnished", "own", 2021, size=SIZE, count=2).images[1]
     for wrong in (camera(other), pictures()[1][:, ::-1]):
         assert "edges" in failed(reviewer().picture(wrong))
 
@@ -99,7 +99,7 @@ def repainted(image: Array, kind: str) -> Array:
 )
 def test_repaints_are_found_and_told_and_the_others_stay(kind: str) -> None:
     members = list(pictures()[1:])
-    members[3] = camera(repainted(view().pictures[4], kind))
+    members[3] = camera(repainted(view().images[4], kind))
     together = reviewer().together(members)
     assert [not verdict.accepted for verdict in together] == [i == 3 for i in range(8)]
     assert failed(together[3]) <= {"colour", "content", "warp"}
@@ -113,7 +113,7 @@ def test_repaints_are_found_and_told_and_the_others_stay(kind: str) -> None:
 def test_a_bend_is_found() -> None:
     rng = np.random.default_rng(7)
     members = list(pictures()[1:])
-    members[3] = camera(damaged(view().pictures[4], "warp", view().segments, rng)[0])
+    members[3] = camera(damaged(view().images[4], "warp", view().segments, rng)[0])
     verdicts = [reviewer().picture(members[3]), reviewer().together(members)[3]]
     assert any("warp" in failed(verdict) for verdict in verdicts)
 

@@ -23,8 +23,8 @@ from pbrfit.io import images
 from pbrfit.model.materials import Materials
 from pbrfit.result.uncertainty import Uncertainty
 from pbrfit.synthetic import make_scene
-from pbrfit_evaluation.map_errors import estimated
-from pbrfit_evaluation.recipes import known
+from pbrfit_evaluation.arrays import known
+from pbrfit_evaluation.estimator_errors import estimated_maps
 
 FAST = FitOptions(light="sh", refine_normals="off", align="off", priors=Priors(material=1.0))
 
@@ -34,7 +34,7 @@ def room(seed: int = 3, noise: float = 0.0, size: int = 40) -> Scene:
 
 
 def with_maps(scene: Scene, seed: int = 3) -> Scene:
-    return replace(scene, estimates=estimated(scene, scene.images[0].astype(np.float64), seed))
+    return replace(scene, estimates=estimated_maps(scene, scene.images[0].astype(np.float64), seed))
 
 
 def errors(scene: Scene, found: Materials) -> dict[str, float]:

@@ -15,7 +15,7 @@ from pbrfit import Result, Scene, Status, decompose
 from pbrfit.model.geometry import angles_between
 from pbrfit.result.refinement import RefineNormals
 from pbrfit.synthetic import make_scene
-from pbrfit_evaluation.normals.disturbances import disturbed
+from pbrfit_evaluation.normals.measure import disturbed
 from scene_files import known, truth_of
 
 SIZE, PICTURES = 12, 6

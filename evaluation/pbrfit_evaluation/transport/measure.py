@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -14,15 +14,15 @@ from pbrfit.model.lamps import Lamps
 from pbrfit.scene.integration import depth_from_normals
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation import cycles
-from pbrfit_evaluation.depth_errors import ROUGH, estimated
+from pbrfit_evaluation.arrays import unit
+from pbrfit_evaluation.estimator_errors import ROUGH, estimated_depth
 from pbrfit_evaluation.grid import Case, Grid, measured
-from pbrfit_evaluation.normal_errors import unit
 from pbrfit_evaluation.recipes import GUESS, Way
 from pbrfit_evaluation.table1 import measure as table1
-from pbrfit_evaluation.table1.rows import BY_KEY as TABLE1
+from pbrfit_evaluation.table1.measure import ROWS as TABLE1
 
 Depth = Literal["none", "true", "network", "rough", "integrated"]
-"""The true one; disturbed like a network's (`depth_errors`), or more; integrated from normals."""
+"""The true one; with the errors of a network, or of something worse; integrated from normals."""
 
 
 @dataclass(frozen=True)
@@ -39,9 +39,6 @@ class Variant(Way):
 
 CONSTANT = Variant(**vars(GUESS))
 
-WITHOUT, TRUE = "without", "true"
-"""The principled model without geometry, and with all that is true: what figures compare."""
-
 
 def _among(words: str, depth: Depth, *, segments: bool = True) -> Variant:
     return Variant(words, {"transport": "auto"}, depth=depth, segments=segments)
@@ -50,16 +47,13 @@ def _among(words: str, depth: Depth, *, segments: bool = True) -> Variant:
 OF_GEOMETRY: Mapping[str, Variant] = {
     "constant": CONSTANT,
     "default": Variant("default model, no depth", {"model": None}),
-    WITHOUT: Variant("no depth"),
-    TRUE: _among("true depth", "true"),
+    "without": Variant("no depth"),
+    "true": _among("true depth", "true"),
     "network": _among("depth of a network", "network"),
     "rough": _among("rough depth", "rough"),
     "integrated": _among("integrated normals", "integrated"),
     "unsegmented": _among("true depth, no segments", "true", segments=False),
 }
-
-HARMONICS, NEAR = "sh", "lamps-depth"
-"""The fit that knows no lamps, and the one that is given depth: what verdicts compare."""
 
 
 def _lit(words: str, light: str, depth: Depth = "none", *, lamps: bool = False) -> Variant:
@@ -68,10 +62,10 @@ def _lit(words: str, light: str, depth: Depth = "none", *, lamps: bool = False) 
 
 OF_LAMPS: Mapping[str, Variant] = {
     "constant": CONSTANT,
-    HARMONICS: _lit("environment light, no depth", "sh"),
+    "sh": _lit("environment light, no depth", "sh"),
     "sh-depth": _lit("environment light, depth", "sh", "true"),
     "lamps": _lit("lamps, no depth", "lamps"),
-    NEAR: _lit("lamps, depth", "lamps", "true"),
+    "lamps-depth": _lit("lamps, depth", "lamps", "true"),
     "auto": _lit("auto, no depth", "auto"),
     "auto-depth": _lit("auto, depth", "auto", "true"),
     "known": _lit("known lamps, depth", "lamps", "true", lamps=True),
@@ -94,13 +88,21 @@ def _why_not(*_: object) -> str:
     return cycles.why_not() or ""
 
 
-def _grid(setups: Sequence[str], ways: Mapping[str, Variant], pictured: Sequence[str]) -> Grid:
-    titles = {setup: ROWS[setup][1] for setup in setups}
-    return Grid(titles, ways, pictured=pictured, why_not=_why_not)
-
-
-GEOMETRY = _grid(("brdf", "shadows", "bounces", "detailed"), OF_GEOMETRY, (WITHOUT, TRUE))
-LAMPS = _grid(("points-shadows", "points"), OF_LAMPS, tuple(OF_LAMPS))
+GEOMETRY = Grid(
+    {setup: ROWS[setup][1] for setup in ("brdf", "shadows", "bounces", "detailed")},
+    OF_GEOMETRY,
+    pictured=("without", "true"),
+    few=("shadows",),
+    few_ways=("constant", "without", "true"),
+    why_not=_why_not,
+)
+LAMPS = Grid(
+    {setup: ROWS[setup][1] for setup in ("points-shadows", "points")},
+    OF_LAMPS,
+    pictured=tuple(OF_LAMPS),
+    few_ways=("constant", "sh", "lamps-depth"),
+    why_not=_why_not,
+)
 
 
 def run(case: Case, threads: int) -> dict[str, Any]:
@@ -161,9 +163,9 @@ def told(exact: Scene, variant: Variant, seed: int) -> Scene:
         case "true":
             depth = true
         case "network":
-            depth = estimated(true, seed)
+            depth = estimated_depth(true, seed)
         case "rough":
-            depth = estimated(true, seed, noise=ROUGH)
+            depth = estimated_depth(true, seed, noise=ROUGH)
         case "integrated":
             depth = depth_from_normals(exact.normals, exact.fov, segments=segments)
     return replace(exact, segments=segments, depth=depth)

@@ -1,1 +1,0 @@
-"""Rooms by Cycles, each explained in several ways: suites `lamps` and `transport`."""
