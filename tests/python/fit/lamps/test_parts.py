@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from lamp_scenes import around, relief
+from pbrfit.fit.lamps.estimator import credible
 from pbrfit.fit.lamps.integrability import equations
 from pbrfit.fit.lamps.photometric import DARK, weights_of
+from pbrfit.fit.sampling import drawn
 
 
 def test_samples_just_below_dark_say_nothing_and_just_above_do() -> None:
@@ -41,3 +43,36 @@ def test_normals_of_a_surface_fulfil_the_equations_of_integrability(fov: float) 
     # Without perspective the third column is free: the generalised bas-relief ambiguity.
     C[:, 2] += [0.5, -1.0, 0.3]
     assert (ratio(C) < 2 * true) == (fov == 0)
+
+
+def test_pixels_are_drawn_by_their_shares_and_stand_for_the_rest() -> None:
+    shares = np.random.default_rng(0).uniform(1, 9, 5000)
+    shares[1234] = 1e3
+    rows, counts = drawn(shares, 400)
+    assert 300 < len(rows) <= 400
+    assert 1234 in rows  # it is sure to be, and stands for itself
+    assert counts[rows == 1234] == 1
+    assert counts.sum() == pytest.approx(5000, rel=0.05)
+    # Any sum is that of all pixels, but for chance.
+    values = np.arange(5000) % 7
+    assert values[rows] @ counts == pytest.approx(values.sum(), rel=0.1)
+    every, once = drawn(np.ones(30), 400)
+    np.testing.assert_array_equal(every, np.arange(30))
+    np.testing.assert_array_equal(once, 1)
+
+
+@pytest.mark.parametrize(
+    ("likelihoods", "expected"),
+    [
+        ([-1.0, -2.0, -3.0, -3.0], [0, 0, 1, 1]),  # a narrow lobe that met no sample is no likelier
+        ([-1.0, -2.0, -9.0, -9.5], [0, 1, 0, 0]),  # none fits that samples tell
+        ([-1.0, -4.0, -9.0, -9.5], [1, 0, 0, 0]),
+        ([-9.0, -9.0, -9.0, -1.0], [0, 0, 0, 1]),
+    ],
+)
+def test_narrow_lobes_are_taken_where_wider_ones_are_surely_worse(
+    likelihoods: list[float], expected: list[int]
+) -> None:
+    told = np.array([False, False, True, True])
+    found = credible(np.array(likelihoods), np.array([0.1, 0.3, 0.5, 0.8]), told)
+    np.testing.assert_array_equal(found > 0.01, np.array(expected, bool))
