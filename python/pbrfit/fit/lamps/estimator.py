@@ -95,8 +95,8 @@ LOOKED_OVER, LOOKED_AT = 20_000, 400
 """Pixels that looks choose from, and that they fit."""
 
 SAMPLES_IN_LOBE = 10
-"""Samples within a lobe from which on looks tell it: of so many what it shows wrong is known to a
-third, 1/√10."""
+"""Samples within a lobe from which on it is tried: of so many what it shows wrong is known to a
+third, 1/√10. Lobes that hardly a sample is within seem right where they happen to meet none."""
 
 INDEPENDENT_SHARE = 1 / 8
 """Share of the pixels looked at that counts: what a picture shows wrong it shows wrong around it,
@@ -154,22 +154,6 @@ def of_labels(
         of = pixels.labels == label
         found.mean[of, 5], found.precision[of, 5] = prior.mean[one, 5], prior.precision[one, 5]
     return found
-
-
-def credible(
-    likelihoods: Array, roughnesses: Array, told: NDArray[np.bool_]
-) -> NDArray[np.float64]:
-    """(R,): relative probabilities of roughnesses by their log likelihoods.
-
-    Of those that are `told`, unless others are surely likelier, by two standard errors, 2 in the
-    logarithm; then it is the roughest of these others that none of them surely excels. Lobes that
-    hardly a sample is within seem right where they happen to meet none.
-    """
-    near = likelihoods >= likelihoods.max() - 2
-    among = told
-    if not (near & told).any():
-        among = near & (roughnesses == roughnesses[near].max())
-    return np.where(among, np.exp(likelihoods - likelihoods[among].max()), 0.0)
 
 
 class LampFit:
@@ -418,9 +402,9 @@ class LampFit:
                 likelihoods = -0.5 * samples * np.log(np.maximum(sums, 1e-12))
                 values, kinds = (of[:, own][:, 0] for of in (roughnesses, metallic))
                 told = within[:, own].sum(axis=1) >= SAMPLES_IN_LOBE
-                shares = credible(likelihoods, values, told)
-                best_of = int(np.argmax(shares))
-                shares[kinds != kinds[best_of]] = 0
+                likelihoods[~told & (values < values.max())] = -np.inf
+                best_of = int(np.argmax(likelihoods))
+                shares = np.exp(likelihoods - likelihoods[best_of]) * (kinds == kinds[best_of])
                 # The mean by likelihood: the middle one where none looks better than another.
                 chosen[label] = float(shares @ values / shares.sum()), float(kinds[best_of])
                 total += float(sums[best_of])

@@ -153,7 +153,7 @@ def seen_error(pixels: LampPixels, state: LampState, *, relative: bool = False) 
 def left_out_of(pictures: int) -> NDArray[np.bool_]:
     """(N,): which of so many pictures looks leave out, a third, unless they are too few."""
     found = np.zeros(pictures, bool)
-    if pictures >= 6:  # four others, twelve samples for a pixel's six unknowns
+    if pictures >= 4:  # three others: nine samples for five unknowns, if roughness is held
         found[1::3] = True
     return found
 

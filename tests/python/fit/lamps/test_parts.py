@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from lamp_scenes import around, relief
-from pbrfit.fit.lamps.estimator import credible
 from pbrfit.fit.lamps.integrability import equations
 from pbrfit.fit.lamps.photometric import DARK, weights_of
 from pbrfit.fit.sampling import drawn
@@ -59,20 +58,3 @@ def test_pixels_are_drawn_by_their_shares_and_stand_for_the_rest() -> None:
     every, once = drawn(np.ones(30), 400)
     np.testing.assert_array_equal(every, np.arange(30))
     np.testing.assert_array_equal(once, 1)
-
-
-@pytest.mark.parametrize(
-    ("likelihoods", "expected"),
-    [
-        ([-1.0, -2.0, -3.0, -3.0], [0, 0, 1, 1]),  # a narrow lobe that met no sample is no likelier
-        ([-1.0, -2.0, -9.0, -9.5], [0, 1, 0, 0]),  # none fits that samples tell
-        ([-1.0, -4.0, -9.0, -9.5], [1, 0, 0, 0]),
-        ([-9.0, -9.0, -9.0, -1.0], [0, 0, 0, 1]),
-    ],
-)
-def test_narrow_lobes_are_taken_where_wider_ones_are_surely_worse(
-    likelihoods: list[float], expected: list[int]
-) -> None:
-    told = np.array([False, False, True, True])
-    found = credible(np.array(likelihoods), np.array([0.1, 0.3, 0.5, 0.8]), told)
-    np.testing.assert_array_equal(found > 0.01, np.array(expected, bool))
