@@ -36,7 +36,6 @@ from pbrfit.fit.lamps.problem import LampPixels, LampState, by_pieces, radiance,
 from pbrfit.fit.lamps.sample_noise import (
     Noise,
     left_out_of,
-    over_channels,
     probability,
     seen_error,
 )
@@ -180,16 +179,6 @@ def facing_highlights(pixels: LampPixels, state: LampState) -> LampState:
     return state.with_surface(halves, state.albedo, state.roughness, state.metallic)
 
 
-def missing_highlights(pixels: LampPixels, state: LampState, noise: Noise) -> NDArray[np.intp]:
-    """Pixels with a sample that is brighter than the model by more than the noise's deviation.
-
-    They alone may mirror a lamp that their normal does not face yet.
-    """
-    left = pixels.residuals(radiance(pixels, state))
-    brighter = np.maximum(-over_channels(left) / 3, 0)
-    return np.flatnonzero((brighter**2 > over_channels(noise.variance(pixels)) / 3).any(axis=1))
-
-
 def fit_band(
     pixels: LampPixels,
     state: LampState,
@@ -237,8 +226,6 @@ def _from_more_starts(
 
     left = given.surprise(state)
     if free:
-        turned = facing_highlights(pixels, state)
-        state, left = improved(turned, missing_highlights(pixels, state, given.noise))
         moved, least = state, left
         # Surfaces of neighbours that surprise less there: one fits best where it was found.
         for other in beside(pixels.places, width, NEIGHBOURS):
