@@ -45,6 +45,7 @@ from pbrfit.fit.settings import (
     EARLY_ROUNDS,
     LAMP_PIXELS,
     MEAN_RADIANCE,
+    PIXELS_AT_ONCE,
     START_MIDDLE,
     UNIFORM_PRECISION,
 )
@@ -81,7 +82,7 @@ LOOKS: dict[int, tuple[tuple[float, ...], tuple[float, ...]]] = {
 of view and roughnesses are tried, one after the other: wide first, then near the best. Steps from
 the best are degrees; in the first round `FIELDS_OF_VIEW` are tried."""
 
-ROUGHNESSES = 0.1, 0.18, 0.3, 0.45, 0.7, 1.0
+ROUGHNESSES = 0.1, 0.18, 0.3, 0.45, 0.7
 """That are tried, about half an octave apart, less than what a lobe's width tells."""
 
 LOOK_LAST = 4
@@ -91,12 +92,13 @@ compared fit ends before it."""
 FIELDS_OF_VIEW = (0.0, 15.0, 30.0, 45.0, 60.0)
 """Degrees that are tried where nobody told it."""
 
-LOOKED_OVER, LOOKED_AT = 20_000, 400
-"""Pixels that looks choose from, and that they fit."""
-
 SAMPLES_IN_LOBE = 10
-"""Samples within a lobe from which on it is tried: of so many what it shows wrong is known to a
+"""Samples within a lobe from which on they tell it: of so many what it shows wrong is known to a
 third, 1/√10. Lobes that hardly a sample is within seem right where they happen to meet none."""
+
+UNTOLD = 3.0
+"""Logarithm of the likelihood by which a lobe that samples do not tell has to excel those that they
+do: one in twenty."""
 
 INDEPENDENT_SHARE = 1 / 8
 """Share of the pixels looked at that counts: what a picture shows wrong it shows wrong around it,
@@ -402,7 +404,8 @@ class LampFit:
                 likelihoods = -0.5 * samples * np.log(np.maximum(sums, 1e-12))
                 values, kinds = (of[:, own][:, 0] for of in (roughnesses, metallic))
                 told = within[:, own].sum(axis=1) >= SAMPLES_IN_LOBE
-                likelihoods[~told & (values < values.max())] = -np.inf
+                told |= values == values.max()
+                likelihoods[~told] -= UNTOLD
                 best_of = int(np.argmax(likelihoods))
                 shares = np.exp(likelihoods - likelihoods[best_of]) * (kinds == kinds[best_of])
                 # The mean by likelihood: the middle one where none looks better than another.
@@ -448,7 +451,7 @@ class LampFit:
         """
         scene = self.scene
         labels = np.zeros(len(scene.places), np.intp) if scene.labels is None else scene.labels[0]
-        over = evenly_spaced_over(labels, LOOKED_OVER).astype(np.intp)
+        over = evenly_spaced_over(labels, 2 * PIXELS_AT_ONCE).astype(np.intp)
         pixels = self._pixels(fit.matrix, scene.places[over], fit.pixels)
         directions, _ = fit.state.incident(pixels)
         judged = left_out_of(pixels.pictures)[fit.state.lamps.pictures]
@@ -462,7 +465,7 @@ class LampFit:
             of = pixels.labels == label
             sizes = np.bincount(octave[of])
             shares[of] = 0.5 / of.sum() + 0.5 / (np.count_nonzero(sizes) * sizes[octave[of]])
-        rows, counts = drawn(shares, LOOKED_AT)
+        rows, counts = drawn(shares, 400)
         few = pixels.of_rows(rows)
         albedo, metallic = (
             _spread(of, fit.pixels.places, few.places, scene.width)

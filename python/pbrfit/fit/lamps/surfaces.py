@@ -50,9 +50,6 @@ STEPS = 12
 METAL_SHARE = 0.05
 """Share of metals that each label is expected to have before it was looked at."""
 
-ODDS_MAX = 5.0
-"""Largest log odds of one pixel, twelve dozen to one: it is not to outvote its neighbours."""
-
 BOUND_STEP = 1e-6
 """Distance from 0 and 1 at which the slopes of values at these bounds are taken."""
 
@@ -289,7 +286,7 @@ def _with_metals(
         metal, of_metal = better_of(metal, of_metal, begin, cost)
     dielectric = given.fitted(state, kept)[0]
     odds = 0.5 * number * np.log(wrong(dielectric) / wrong(metal))
-    odds = neighbour_means(np.clip(odds, -ODDS_MAX, ODDS_MAX), pixels.places, width, pixels.labels)
+    odds = neighbour_means(np.clip(odds, -5, 5), pixels.places, width, pixels.labels)
     share = metal_shares(odds, pixels.labels)
     odds += np.log(share / (1 - share))
     chance = probability(odds)

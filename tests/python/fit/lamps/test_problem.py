@@ -12,6 +12,7 @@ from pbrfit.fit.lamps import scale
 from pbrfit.fit.lamps.joint import ALBEDO_SPREAD, Freedom, JointLamps, SurfacePrior
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance, tangents
 from pbrfit.fit.lamps.sample_noise import Noise
+from pbrfit.fit.lamps.surfaces import deviations
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import MODELS, Model
 from reference import unit
@@ -128,6 +129,23 @@ def test_the_joint_system_is_of_all_slopes_and_weights(model: Model, ambient: bo
     each, of_priors = fit.scores(along)
     assert_alike(each, (pushes[:, :size] - (mixed * solved).sum(axis=1)) @ along)
     assert_alike(np.array(of_priors), pulled @ along)
+
+
+def test_matrices_that_rounding_made_indefinite_tell_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pixels, state = example("paper")
+    own = np.tile(np.diag([1.0, 1, 1, 1, 1, -1e-3]), (PIXELS, 1, 1))
+    noise, weights = Noise(1.0, 0.0, np.zeros(PICTURES)), np.ones((PIXELS, PICTURES, 3))
+    parts = own, np.zeros((PIXELS, 6, 0))
+    monkeypatch.setattr(JointLamps, "pixel_system", lambda _: parts)
+    for found in deviations(pixels, state, noise, weights, Freedom(normals=True), np.zeros((0, 0))):
+        assert np.isinf(found[:, 5]).all()
+        np.testing.assert_allclose(found[:, :5], 1)
+    own[:, 4:, 4:] = 1e15  # singular: the other numbers are what they were, these are not certain
+    for found in deviations(pixels, state, noise, weights, Freedom(normals=True), np.zeros((0, 0))):
+        assert (found[:, 4:] > 1e-3).all()
+        np.testing.assert_allclose(found[:, :4], 1)
 
 
 @pytest.mark.parametrize(("apart", "wrong"), [(0.49, 0.0), (-0.49, 0.0), (1.3, 2.3), (-1.3, 0.7)])
