@@ -138,18 +138,18 @@ def _run_pictures(options: argparse.Namespace) -> int:
             found = normals_from_pictures(scene, threads=threads, progress=show)
     except InputError as error:
         raise InputError(f"{folder}: {error}") from None
+    normals, sigma, height, lamps, left_open = found
     inside = nearest_inside(scene.valid)
     paths = completion.add_normals(
         folder,
-        found.normals[inside],
-        uncertainty=found.sigma_degrees[inside],
-        height=found.height,
+        normals[inside],
+        uncertainty=sigma[inside],
+        height=height,
         overwrite=overwrite,
     )
-    low, high = np.nanpercentile(found.height, [0, 100])
-    facts = _facts(Normals(found.normals[scene.valid], found.sigma_degrees[scene.valid]))
-    facts += [known_lamps.in_words(found.lamps)]
-    facts += [f"not determined: {words}" for words in found.undetermined]
+    low, high = np.nanpercentile(height, [0, 100])
+    facts = _facts(Normals(normals[scene.valid], sigma[scene.valid]))
+    facts += [known_lamps.in_words(lamps), *(f"not determined: {words}" for words in left_open)]
     lines = [f"{paths[0]}: from {count} pictures under lamps", *(f"  {one}" for one in facts)]
     lines.append(f"{paths[1]}: from {low:.3g} to {high:.3g} pixels")
     cli.tell(options, [*lines, _look_at(folder)])

@@ -71,11 +71,6 @@ class Alignment:
     pixel: float
     """Pixels of the picture per pixel that was compared: errors are about 0.2 of it."""
 
-    @property
-    def distance(self) -> float:
-        """Length of the shift in pixels."""
-        return float(np.hypot(*self.shift))
-
 
 def gradient(values: NDArray[np.floating[Any]]) -> NDArray[np.complexfloating[Any]]:
     """Central differences of (H, W, ...), right + i down; 0 where the border cuts them off."""
@@ -130,14 +125,12 @@ class Shift:
     agreement: float
     in_place: float
     """Correlations there, and without a shift."""
-    elsewhere: bool
-    """Whether the peak is not in place, but more than a pixel away."""
+    elsewhere: bool  # more than a pixel away
 
     @property
     def displaced(self) -> bool:
         """Whether the peak is clearly another place."""
-        clear = self.agreement > _SURE and self.agreement - self.in_place > _GAIN
-        return clear and self.elsewhere
+        return self.elsewhere and self.agreement > max(_SURE, self.in_place + _GAIN)
 
 
 def shift_between(reference: Field, field: Field) -> Shift | None:
@@ -206,9 +199,9 @@ def _peak(a: Field, b: Field, reach: int) -> Shift | None:
             curvature = before - 2 * height + after
             if curvature < 0:
                 shift[axis] += np.clip((before - after) / (2 * curvature), -0.5, 0.5)
-    elsewhere = bool(np.hypot(*shift) > _MOVED)
-    down, right = shift.tolist()
-    return Shift((down, right), float(height), float(found[reach, reach]), elsewhere)
+    place = float(shift[0]), float(shift[1])
+    far = bool(np.hypot(*place) > _MOVED)
+    return Shift(place, float(height), float(found[reach, reach]), far)
 
 
 def _tiles(reference: Field, field: Field) -> tuple[float, float]:

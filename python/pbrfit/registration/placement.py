@@ -60,9 +60,8 @@ SETTLED = 0.02
 ROUNDS_MAX = 6
 
 OTHER_AGREEMENT = 0.15
-"""Agreement of edges below which a picture shows something else, unless it is highest in place: of
-something else it is there once in 270 (49² places, 9 of which a pixel around it), and of the same
-view under light along its edges it is as low."""
+"""Agreement of edges below which a picture shows something else, unless it is highest in place: by
+chance once in 270 (9 of 49² places), and as low of the same view under light along its edges."""
 
 SURE_AGREEMENT = 0.5
 """Agreement of edges that the median picture has to have for pictures to be registered, and that a
@@ -226,8 +225,7 @@ class _Register:
                 break
         self._usual = usual = float(np.median([one.agreement for one in found.values()] or [0.0]))
         for i, one in found.items():
-            other = one.agreement < OTHER_AGREEMENT and one.elsewhere
-            if other and self._neighbours_agree(i):
+            if one.agreement < OTHER_AGREEMENT and one.elsewhere and self._neighbours_agree(i):
                 self._reasons[i] = (
                     f"its edges agree with those of the others to {max(one.agreement, 0):.2f} of "
                     f"1, the median picture's to {usual:.2f}"

@@ -280,21 +280,15 @@ def test_decompose_puts_back_what_was_shifted_unless_told_not_to() -> None:
 
 def test_light_along_folds_leaves_no_picture_out() -> None:
     """Of folded paper one picture shows other edges than the rest: their agreement is low there."""
-    rng = np.random.default_rng(3)
+    rng, lights = np.random.default_rng(3), [(1, 0.17), (-1, 0.17), (0.8, -0.17), (0.17, 1)]
 
-    def folds() -> NDArray[Any]:
-        return np.repeat(rng.normal(size=8), 8)
+    def folded() -> NDArray[Any]:
+        by_column, by_row = np.repeat(rng.normal(size=(2, 8)), 8, axis=1)
+        lit = [1 + 0.1 * (x * by_column + y * by_row[:, None]) for x, y in lights]
+        paper = 0.5 + 0.002 * rng.normal(size=(64, 64))
+        return np.repeat((np.array(lit) * paper)[..., None], 3, axis=-1)
 
-    def lit(across: float, down: float) -> NDArray[Any]:
-        sheet = 1 + 0.1 * (across * by_column[None] + down * by_row[:, None])
-        return np.repeat((sheet * paper)[..., None], 3, axis=-1)
-
-    by_column, by_row = folds(), folds()
-    paper = 0.5 + 0.002 * rng.normal(size=(64, 64))
-    images = np.stack([lit(1, 0.17), lit(-1, 0.17), lit(0.8, -0.17), lit(0.17, 1)])
-    sheets = Scene(images=images, normals=np.broadcast_to([0, 0, 1.0], (64, 64, 3)))
+    sheets = Scene(images=folded(), normals=np.broadcast_to([0, 0, 1.0], (64, 64, 3)))
     assert register(sheets).in_line
-    by_row, by_column = folds(), folds()
-    paper = 0.5 + 0.002 * rng.normal(size=(64, 64))
-    found = register(with_picture(sheets, lit(0.17, 1), 3))
+    found = register(with_picture(sheets, folded()[3], 3))
     assert [bool(one.left_out) for one in found.placements] == [False, False, False, True]

@@ -329,16 +329,16 @@ def _aligned(
 ) -> tuple[Check, ...]:
     if found is None:
         return (Check("edges", 0.0, least_agreement, False, "no edges to compare by"),)
-    right, down = found.shift
+    (right, down), length = found.shift, float(np.hypot(*found.shift))
     edges = f"edges agree with {reference} to {max(found.agreement, 0):.2f} of 1"
-    shift = f"shifted by {found.distance:.1f} pixels ({right:+.1f}, {down:+.1f}) from {reference}"
+    shift = f"shifted by {length:.1f} pixels ({right:+.1f}, {down:+.1f}) from {reference}"
     warp = (
         f"{100 * found.moved:.0f} % of the edges are displaced from {reference}, in the median "
         f"by {found.warp:.1f} pixels"
     )
     return (
         _at_least("edges", found.agreement, least_agreement, edges),
-        _at_most("shift", found.distance, alignment.MOST_SHIFT * found.pixel, shift),
+        _at_most("shift", length, alignment.MOST_SHIFT * found.pixel, shift),
         _at_most("warp", found.moved, most_moved, warp),
     )
 

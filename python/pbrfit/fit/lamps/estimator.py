@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +60,6 @@ from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import FROM_PICTURES, Refinement
 from pbrfit.result.uncertainty import TWO_SIDED, Uncertainty
 from pbrfit.result.verdict import by_deviations
-from pbrfit.scene.arrays import SHAPE_PICTURES_MIN
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import AT_ONCE_MAX, in_pieces, one_blas_thread, processors
 from pbrfit.transport.scenery import Scenery
@@ -92,13 +90,10 @@ compared fit ends before it."""
 FIELDS_OF_VIEW = (0.0, 15.0, 30.0, 45.0, 60.0)
 """Degrees that are tried where nobody told it."""
 
-SAMPLES_IN_LOBE = 10
+SAMPLES_IN_LOBE, UNTOLD = 10, 3.0
 """Samples within a lobe from which on they tell it: of so many what it shows wrong is known to a
-third, 1/√10. Lobes that hardly a sample is within seem right where they happen to meet none."""
-
-UNTOLD = 3.0
-"""Logarithm of the likelihood by which a lobe that samples do not tell has to excel those that they
-do: one in twenty."""
+third, 1/√10. Lobes that hardly a sample is within seem right where they happen to meet none: they
+have to excel the others by so much in the logarithm of the likelihood, one in twenty."""
 
 INDEPENDENT_SHARE = 1 / 8
 """Share of the pixels looked at that counts: what a picture shows wrong it shows wrong around it,
@@ -816,39 +811,14 @@ def fit_lamps(
     return LampFit(scene, setup, start, begin).solve()
 
 
-class PictureNormals(NamedTuple):
-    """What pictures tell of shape."""
-
-    normals: Array
-    """(H, W, 3), NaN outside the mask."""
-    sigma_degrees: Array
-    """(H, W): how uncertain they are by noise and by the lamps, both tangent offsets together."""
-    height: NDArray[np.float32]
-    """(H, W), as in `Result`."""
-    lamps: Lamps
-    undetermined: tuple[str, ...]
-    """What the pictures leave open, each in words."""
-
-
 def normals_from_pictures(
     scene: Scene, *, threads: int = 0, progress: Callable[[Progress], None] | None = None
-) -> PictureNormals:
-    """Fit a scene without normals under lamps.
+) -> tuple[Array, Array, NDArray[np.float32], Lamps, tuple[str, ...]]:
+    """Normals, their deviation in degrees, height and lamps of a fit to pictures without normals.
 
-    Raises
-    ------
-    InputError
-        If the scene has normals, fewer than three pictures, known SH light, or near lamps without
-        depth.
+    Maps are as in `Result`. Also what the pictures leave open, in words. Raises InputError if there
+    are fewer than three pictures, known SH light, or near lamps without depth.
     """
-    if scene.normals_known:
-        raise InputError("normals: expected none, which the pictures are to tell, found some")
-    count = len(scene.images)
-    if count < SHAPE_PICTURES_MIN:
-        raise InputError(
-            f"images: expected {SHAPE_PICTURES_MIN} or more pictures under different lamps, found "
-            f"{count}"
-        )
     began = time.perf_counter()
     options = FitOptions(light="lamps", model=chosen_model(None, scene.model), uncertainty=True)
     scene = aligned(scene)
@@ -859,6 +829,4 @@ def normals_from_pictures(
     assert found.lamps is not None
     assert found.normal_sigma is not None
     height = height_of(found.normals, scene, setup.threads)
-    return PictureNormals(
-        found.normals, found.normal_sigma, height, found.lamps, start.undetermined
-    )
+    return found.normals, found.normal_sigma, height, found.lamps, start.undetermined

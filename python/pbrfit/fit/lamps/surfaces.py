@@ -50,9 +50,6 @@ STEPS = 12
 METAL_SHARE = 0.05
 """Share of metals that each label is expected to have before it was looked at."""
 
-BOUND_STEP = 1e-6
-"""Distance from 0 and 1 at which the slopes of values at these bounds are taken."""
-
 
 @dataclass(frozen=True, eq=False)
 class Band:
@@ -338,11 +335,9 @@ def deviations(
     """
     count = len(pixels)
     none = SurfacePrior(np.zeros((count, 7)), np.zeros((count, 7)))
-    inside = replace(
-        state,
-        albedo=np.clip(state.albedo, BOUND_STEP, 1 - BOUND_STEP),
-        roughness=np.clip(state.roughness, BOUND_STEP, 1 - BOUND_STEP),
-    )
+    # Slopes of values at a bound are taken a little inside.
+    albedo, rough = (np.clip(of, 1e-6, 1 - 1e-6) for of in (state.albedo, state.roughness))
+    inside = replace(state, albedo=albedo, roughness=rough)
     # What is shared and known moves nothing.
     shared = np.flatnonzero(covariance.any(axis=0))
     of_shared = covariance[np.ix_(shared, shared)]

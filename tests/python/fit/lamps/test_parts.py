@@ -49,12 +49,6 @@ def test_pixels_are_drawn_by_their_shares_and_stand_for_the_rest() -> None:
     shares[1234] = 1e3
     rows, counts = drawn(shares, 400)
     assert 300 < len(rows) <= 400
-    assert 1234 in rows  # it is sure to be, and stands for itself
-    assert counts[rows == 1234] == 1
+    assert counts[rows == 1234].tolist() == [1]  # it is sure to be there, and stands for itself
     assert counts.sum() == pytest.approx(5000, rel=0.05)
-    # Any sum is that of all pixels, but for chance.
-    values = np.arange(5000) % 7
-    assert values[rows] @ counts == pytest.approx(values.sum(), rel=0.1)
-    every, once = drawn(np.ones(30), 400)
-    np.testing.assert_array_equal(every, np.arange(30))
-    np.testing.assert_array_equal(once, 1)
+    np.testing.assert_array_equal(drawn(np.ones(30), 400), [np.arange(30), np.ones(30)])
