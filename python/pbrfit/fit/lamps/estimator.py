@@ -32,7 +32,7 @@ from pbrfit.fit.lamps.joint import (
     turned,
 )
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
-from pbrfit.fit.lamps.sample_noise import Noise, left_out_of, seen_error
+from pbrfit.fit.lamps.sample_noise import Noise, kept_and_judged, seen_error
 from pbrfit.fit.lamps.samples import FirstShape
 from pbrfit.fit.lamps.scale import Reference
 from pbrfit.fit.lamps.shape import FOV_MAX, FOV_MEAN, FOV_SPREAD, first_shape, height_of
@@ -177,16 +177,18 @@ class LampFit:
 
     def solve(self) -> FitOutput:
         """All stages."""
-        scene = self.scene
-        places = scene.places
-        labels = np.zeros(len(places), np.intp) if scene.labels is None else scene.labels[0]
-        rows = evenly_spaced_over(labels, LAMP_PIXELS).astype(np.intp)
-        fit = self.joint(places[rows])
+        fit = self.joint(self._places(LAMP_PIXELS))
         with self.trace.stage("surfaces") as notes:
             bands, known = self._bands(fit)
             metal = float(np.mean(np.concatenate([one.state.metallic for one in bands]) > 0.5))
-            notes.append(f"{len(places)} pixels, {100 * metal:.2g} % metal")
+            notes.append(f"{len(self.scene.places)} pixels, {100 * metal:.2g} % metal")
         return self._output(fit, bands, known)
+
+    def _places(self, at_most: int) -> NDArray[np.intp]:
+        """So many of the scene's places, evenly spread over each label."""
+        places, labels = self.scene.places, self.scene.labels
+        of = np.zeros(len(places), np.intp) if labels is None else labels[0]
+        return np.asarray(places[evenly_spaced_over(of, at_most).astype(np.intp)])
 
     def joint(self, places: NDArray[np.intp]) -> JointLamps:
         """The joint fit of pixels at places that explains them best."""
@@ -444,16 +446,14 @@ class LampFit:
         (of any if none is): half of the pixels of each label are spread evenly, and half over the
         octaves of the least angle. Of evenly spread ones next to none is within a narrow lobe.
         """
-        scene = self.scene
-        labels = np.zeros(len(scene.places), np.intp) if scene.labels is None else scene.labels[0]
-        over = evenly_spaced_over(labels, 2 * PIXELS_AT_ONCE).astype(np.intp)
-        pixels = self._pixels(fit.matrix, scene.places[over], fit.pixels)
+        pixels = self._pixels(fit.matrix, self._places(2 * PIXELS_AT_ONCE), fit.pixels)
         directions, _ = fit.state.incident(pixels)
-        judged = left_out_of(pixels.pictures)[fit.state.lamps.pictures]
-        halves = directions[:, judged if judged.any() else ~judged] + pixels.views[:, None]
-        halves /= np.maximum(np.linalg.norm(halves, axis=-1, keepdims=True), 1e-9)
-        angles = np.arccos(np.clip(np.einsum("px,pkx->pk", pixels.normals, halves), -1, 1))
-        least = np.hypot(ROUGHNESSES[0] ** 2, self._offset_sigma(pixels.places))
+        judged = kept_and_judged(pixels.pictures)[1][fit.state.lamps.pictures]
+        directions = directions[:, judged if judged.any() else ~judged]
+        mirrors = surfaces.mirroring(directions, pixels.views[:, None])
+        angles = np.arccos(np.clip(np.einsum("px,pkx->pk", pixels.normals, mirrors), -1, 1))
+        sigma = self._offset_sigma(pixels.places)
+        least = np.hypot(ROUGHNESSES[0] ** 2, sigma)
         octave = np.log2(np.maximum(angles.min(axis=1) / least, 1)).astype(np.intp)
         shares = np.zeros(len(pixels))
         for label in np.unique(pixels.labels):
@@ -463,11 +463,11 @@ class LampFit:
         rows, counts = drawn(shares, 400)
         few = pixels.of_rows(rows)
         albedo, metallic = (
-            _spread(of, fit.pixels.places, few.places, scene.width)
+            _spread(of, fit.pixels.places, few.places, self.scene.width)
             for of in (fit.state.albedo, fit.state.metallic)
         )
         state = fit.state.with_surface(few.normals, albedo, np.zeros(len(few)), metallic)
-        prior = of_labels(fit.prior, fit.pixels, few, self._offset_sigma(few.places))
+        prior = of_labels(fit.prior, fit.pixels, few, sigma[rows])
         return few, state, prior, counts / counts.mean(), angles[rows]
 
     def _views(self, fov: float, places: NDArray[np.intp]) -> Array:
@@ -490,12 +490,11 @@ class LampFit:
         Surfaces are fitted to some pictures, and what they show in the others counts: with a normal
         and a narrow lobe of its own a pixel can show any one highlight, but not the next.
         """
-        left_out = left_out_of(few.pictures)
-        counted = left_out if left_out.any() else ~left_out
+        kept, judged = kept_and_judged(few.pictures)
         # All at once: each pixel with one roughness after the other.
         tries = np.tile(np.arange(len(few)), len(roughnesses))
         few, given, prior = few.of_rows(tries), given.of_rows(tries), prior.of_rows(tries)
-        fitted = replace(few, weights=few.weights * ~left_out[None, :, None])
+        fitted = replace(few, weights=few.weights * kept[None, :, None])
         free, relative = fit.freedom.normals, fit.noise.proportional
         albedo = np.clip(given.albedo / scale, 0.01, 0.99)
         begin = given.with_surface(given.normals, albedo, roughnesses.ravel(), metallic.ravel())
@@ -503,10 +502,10 @@ class LampFit:
         to_some = surfaces.SurfaceFit(fitted, fit.noise, prior, free)
         errors, shown, squares = [], [], []
         for start in starts:
-            state, *_ = to_some.robust(start, free_roughness=False)
+            state, _ = to_some.robust(start, free_roughness=False)
             seen = seen_error(few, state, relative=relative)
-            errors.append(seen @ ~left_out)
-            shown.append(seen @ counted)
+            errors.append(seen @ kept)
+            shown.append(seen @ judged)
             away = offsets(few.normals, state.normals)
             squares.append((prior.precision[:, :2] * away**2).sum(axis=1))
         best = np.argmin(errors, axis=0)[None]
@@ -516,8 +515,8 @@ class LampFit:
     def _turn(self, fit: JointLamps) -> None:
         """Let pixels turn to their brightest lamp where that surprises less."""
         given = surfaces.SurfaceFit(fit.pixels, fit.noise, fit.prior, free_normals=True)
-        state, *_ = given.robust(fit.state, 2)
-        turned, *_ = given.robust(surfaces.facing_highlights(fit.pixels, state), 2)
+        state, _ = given.robust(fit.state, 2)
+        turned, _ = given.robust(surfaces.facing_highlights(fit.pixels, state), 2)
         left, of_turned = given.surprise(state), given.surprise(turned)
         fit.state, _ = surfaces.better_of(state, left, turned, of_turned)
 

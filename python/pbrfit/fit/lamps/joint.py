@@ -102,13 +102,13 @@ def fit_surfaces(
     iterations: int,
     free_normals: bool,
     free_roughness: bool = True,
-) -> tuple[LampState, Array, Array]:
-    """The best surface of each pixel under the lights of a state; their costs and information."""
+) -> tuple[LampState, Array]:
+    """The best surface of each pixel under the lights of a state, and their costs."""
     # Offsets are tangents: what is turned away by a right angle begins where they begin.
     turned = np.einsum("px,px->p", state.normals, pixels.normals) < COSINE_MIN
     begin = np.where(turned[:, None], pixels.normals, state.normals)
 
-    *surface, cost, information = pixels.under(state).fit(
+    *surface, cost, _ = pixels.under(state).fit(
         weights,
         pixels.normals,
         (begin, state.albedo, state.roughness, state.metallic),
@@ -116,7 +116,7 @@ def fit_surfaces(
         (free_normals, False, free_roughness),  # metallic waits
         iterations,
     )
-    return state.with_surface(*surface), cost, information
+    return state.with_surface(*surface), cost
 
 
 def turned(normals: Array, matrix: Array) -> Array:
@@ -198,7 +198,7 @@ class JointLamps:
     def fitted(self, state: LampState, iterations: int) -> tuple[LampState, float]:
         """A state with surfaces that took so many steps, and the cost of all."""
         given, free = (self.pixels, state, self.weights, self.prior), self.freedom.normals
-        state, costs, _ = fit_surfaces(*given, iterations=iterations, free_normals=free)
+        state, costs = fit_surfaces(*given, iterations=iterations, free_normals=free)
         scale, ambient = self.scale_of(state.lamps), state.ambient / (AMBIENT_SHARE * MEAN_RADIANCE)
         cost = float(costs.sum() + (scale**2).sum() + (ambient**2).sum())
         if self.relief is not None:

@@ -150,12 +150,13 @@ def seen_error(pixels: LampPixels, state: LampState, *, relative: bool = False) 
     return np.asarray((pixels.weights * roots**2).sum(axis=2))
 
 
-def left_out_of(pictures: int) -> NDArray[np.bool_]:
-    """(N,): which of so many pictures looks leave out, a third, unless they are too few."""
-    found = np.zeros(pictures, bool)
-    if pictures >= 4:  # three others: nine samples for five unknowns, if roughness is held
-        found[1::3] = True
-    return found
+def kept_and_judged(pictures: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """(N,) each: pictures that surfaces are fitted to, and the third that judges; all if few."""
+    kept = np.ones(pictures, bool)
+    if pictures < 4:  # three others are nine samples for five unknowns, if roughness is held
+        return kept, kept
+    kept[1::3] = False
+    return kept, ~kept
 
 
 def over_channels(values: NDArray[Any]) -> Array:

@@ -33,12 +33,7 @@ from pbrfit.fit.lamps.joint import (
     unknowns_of,
 )
 from pbrfit.fit.lamps.problem import LampPixels, LampState, by_pieces, radiance, surface_of
-from pbrfit.fit.lamps.sample_noise import (
-    Noise,
-    left_out_of,
-    probability,
-    seen_error,
-)
+from pbrfit.fit.lamps.sample_noise import Noise, kept_and_judged, probability, seen_error
 from pbrfit.fit.pixels import NEIGHBOURS
 from pbrfit.fit.sampling import beside
 
@@ -114,8 +109,8 @@ class SurfaceFit:
 
     def fitted(
         self, state: LampState, weights: Array, *, free_roughness: bool = True
-    ) -> tuple[LampState, Array, Array]:
-        """The best surfaces by weights of the samples (P, N, 3); their costs and information."""
+    ) -> tuple[LampState, Array]:
+        """The best surfaces by weights of the samples (P, N, 3), and their costs."""
         free = {"free_normals": self.free_normals, "free_roughness": free_roughness}
         return fit_surfaces(self.pixels, state, weights, self.prior, iterations=STEPS, **free)
 
@@ -126,12 +121,12 @@ class SurfaceFit:
         *,
         free_roughness: bool = True,
         width: int | None = None,
-    ) -> tuple[LampState, Array, Array, Array]:
-        """Weights and surfaces in turn; also weights, costs and information.
+    ) -> tuple[LampState, Array]:
+        """Weights and surfaces in turn.
 
         With the `width` of the picture samples are judged with their neighbours.
         """
-        weights = cost = information = np.zeros(0)
+        weights = np.zeros(0)
         for _ in range(rounds):
             judged, odds = self.noise.judged(self.pixels, state), None
             if width is not None:
@@ -140,8 +135,8 @@ class SurfaceFit:
                 # Infinite where not too dark.
                 odds = np.where(np.isfinite(judged.odds), around, judged.odds)
             weights = judged.weighed(odds)
-            state, cost, information = self.fitted(state, weights, free_roughness=free_roughness)
-        return state, weights, cost, information
+            state, _ = self.fitted(state, weights, free_roughness=free_roughness)
+        return state, weights
 
 
 def better_of(
@@ -161,6 +156,12 @@ def better_of(
     return state.with_surface(*surface), surprising
 
 
+def mirroring(directions: Array, views: Array) -> Array:
+    """(..., 3): normals that mirror lamps to the camera, half way between both unit vectors."""
+    halves = directions + views
+    return np.asarray(halves / np.maximum(np.linalg.norm(halves, axis=-1, keepdims=True), 1e-9))
+
+
 def facing_highlights(pixels: LampPixels, state: LampState) -> LampState:
     """The same surfaces, turned so that each mirrors the lamp of its brightest sample."""
     directions, strengths = state.incident(pixels)
@@ -168,9 +169,8 @@ def facing_highlights(pixels: LampPixels, state: LampState) -> LampState:
     lit = strengths * state.lamps.colors.mean(axis=-1)
     brightest = np.argmax(of_lamps / np.maximum(lit, 1e-12), axis=1)
     rows = np.arange(len(pixels)) if len(directions) > 1 else 0
-    halves = directions[rows, brightest] + pixels.views
-    halves /= np.maximum(np.linalg.norm(halves, axis=-1, keepdims=True), 1e-9)
-    return state.with_surface(halves, state.albedo, state.roughness, state.metallic)
+    mirrors = mirroring(directions[rows, brightest], pixels.views)
+    return state.with_surface(mirrors, state.albedo, state.roughness, state.metallic)
 
 
 def fit_band(
@@ -191,7 +191,7 @@ def fit_band(
     surfaces as one fit finds them, dielectrics alone, in an eighth of the time.
     """
     given = SurfaceFit(pixels, noise, prior, freedom.normals)
-    state, weights, *_ = given.robust(state)
+    state, weights = given.robust(state)
     of_kind = state.metallic * (1 - state.metallic)
     if not once:
         state, weights, of_kind = _from_more_starts(given, state, width, metals)
@@ -215,7 +215,7 @@ def _from_more_starts(
         if not len(rows):
             return state, left
         some = given.of_rows(rows)
-        found, *_ = some.robust(begin.of_rows(rows))
+        found, _ = some.robust(begin.of_rows(rows))
         return better_of(state, left, found, some.surprise(found), rows)
 
     left = given.surprise(state)
@@ -234,7 +234,7 @@ def _from_more_starts(
             begin = replace(state, roughness=np.full(len(pixels), roughness))
             state, left = improved(begin, np.arange(len(pixels)))
     # Shadows that hide behind a wrong normal show in the second round.
-    state, weights, *_ = given.robust(state, 2, width=width)
+    state, weights = given.robust(state, 2, width=width)
     of_kind = state.metallic * (1 - state.metallic)
     if metals is not None:
         state, of_kind = _with_metals(given, metals, state, weights, width)
@@ -266,22 +266,21 @@ def _with_metals(
     `metals` is the prior of these. Also the variance of metallic (P,), never 0.
     """
     pixels, of_metals = given.pixels, replace(given, prior=metals)
-    left_out = left_out_of(pixels.pictures)
-    counted = left_out if left_out.any() else ~left_out
-    kept = weights * ~left_out[None, :, None]
-    count, number = len(pixels), np.count_nonzero(counted)
+    kept, judged = kept_and_judged(pixels.pictures)
+    of_kept = weights * kept[None, :, None]
+    count, number = len(pixels), np.count_nonzero(judged)
 
     def wrong(of: LampState) -> Array:
         """(P,): what is shown wrong."""
-        return np.maximum(seen_error(pixels, of) @ counted, 1e-12)
+        return np.maximum(seen_error(pixels, of) @ judged, 1e-12)
 
     metal, of_metal = state, np.full(count, np.inf)
     for roughness in (0.35,) if given.free_normals else (0.35, 0.6):
         bright = np.clip(state.albedo * 1.5, 0.1, 1.0)
         begin = state.with_surface(state.normals, bright, np.full(count, roughness), np.ones(count))
-        begin, cost, _ = of_metals.fitted(begin, kept)
+        begin, cost = of_metals.fitted(begin, of_kept)
         metal, of_metal = better_of(metal, of_metal, begin, cost)
-    dielectric = given.fitted(state, kept)[0]
+    dielectric, _ = given.fitted(state, of_kept)
     odds = 0.5 * number * np.log(wrong(dielectric) / wrong(metal))
     odds = neighbour_means(np.clip(odds, -5, 5), pixels.places, width, pixels.labels)
     share = metal_shares(odds, pixels.labels)
@@ -289,8 +288,7 @@ def _with_metals(
     chance = probability(odds)
     rows = np.flatnonzero(chance > 0.5)
     if len(rows):
-        begin = metal.of_rows(rows)
-        found = of_metals.of_rows(rows).fitted(begin, weights[rows])[0]
+        found, _ = of_metals.of_rows(rows).fitted(metal.of_rows(rows), weights[rows])
         state, _ = better_of(state, chance, found, 1 - chance[rows], rows)
     return state, chance * (1 - chance)
 
