@@ -172,7 +172,6 @@ class LampSamples:
         NDArray[np.float64],
         NDArray[np.float64],
         NDArray[np.float64],
-        NDArray[np.float64],
     ]:
         """Surface of each pixel by itself, never worse than the start.
 
@@ -180,8 +179,7 @@ class LampSamples:
         of the prior are of [tangent offset (a, b) of the base normal, albedo, roughness, metallic]
         and add Σ precision (x − mean)². What is free beside the albedo are normals, metallic,
         roughness; this, if free, starts from 0.03 at least where there are data. Returns the
-        surfaces, costs (P,), and the information Jᵀ W J + precision (P, 7, 7), 0 in rows and
-        columns of what is held.
+        surfaces and costs (P,).
         """
 
     def system(

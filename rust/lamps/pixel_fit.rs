@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use glam::DVec3;
 
-use super::descent::{Descent, Ended, Free};
+use super::descent::{Descent, Free};
 use super::samples::{AT_MOST, Lights, Point, Samples, UNKNOWNS};
 use crate::pixel::pixel_fit::PRIOR_MAX;
 use crate::reflectance::model::{Model, with_model};
@@ -74,8 +74,6 @@ pub struct LampFitted {
     pub materials: Vec<Material>,
     /// Σ w residual² with the prior.
     pub costs: Vec<f64>,
-    /// Jᵀ W J with the precision of the prior, 0 where an unknown was held: (pixel), by [`NUMBERS`].
-    pub information: Vec<[[f64; NUMBERS]; NUMBERS]>,
 }
 
 /// The best normal and material of each pixel near a start, never worse than it, by weights of the
@@ -103,7 +101,6 @@ pub fn fit_under_lamps(
         normals: zeros("start_normals", pixels)?,
         materials: collect("albedo", pixels, materials.iter().copied())?,
         costs: zeros("pictures", pixels)?,
-        information: zeros("prior_precision", pixels)?,
     };
     let descent = |p: usize| Descent {
         samples: Samples::new(given, weights, &lights, p)
@@ -119,38 +116,22 @@ pub fn fit_under_lamps(
     let pieces = (fitted.normals.chunks_mut(PIECE))
         .zip(fitted.materials.chunks_mut(PIECE))
         .zip(fitted.costs.chunks_mut(PIECE))
-        .zip(fitted.information.chunks_mut(PIECE))
         .enumerate()
         .collect();
     pool::map(
         given.threads,
         pieces,
-        |(piece, (((normals, materials), costs), information))| {
+        |(piece, ((normals, materials), costs))| {
             for i in 0..normals.len() {
                 let descent = descent(piece * PIECE + i);
                 let ended = with_model!(given.model, M => descent.run::<M>(how.iterations));
                 normals[i] = ended.point.normal;
                 materials[i] = ended.point.material;
                 costs[i] = ended.cost;
-                information[i] = known(&ended, how.free);
             }
         },
     );
     Ok(fitted)
-}
-
-/// The information of a pixel in the order of [`NUMBERS`].
-fn known(ended: &Ended, free: Free) -> [[f64; NUMBERS]; NUMBERS] {
-    let (free, matrix) = (free.unknowns(), &ended.equations.matrix);
-    let mut information = [[0.0; NUMBERS]; NUMBERS];
-    for x in 0..UNKNOWNS {
-        for y in 0..=x {
-            let known = free[x] * free[y] * matrix[x][y];
-            information[PLACES[x]][PLACES[y]] = known;
-            information[PLACES[y]][PLACES[x]] = known;
-        }
-    }
-    information
 }
 
 /// The tangent offset of each start: with n·n₀ > 0, a = n·t₁/n·n₀ and b = n·t₂/n·n₀.

@@ -112,7 +112,6 @@ impl PyLampSamples {
         Out<'py, 1>,
         Out<'py, 1>,
         Out<'py, 1>,
-        Out<'py, 3>,
     )> {
         let weights = self.weights(weights)?;
         let start = self.surfaces("start_normals", &start)?;
@@ -134,7 +133,6 @@ impl PyLampSamples {
         let fitted =
             py.detach(|| fit_under_lamps(&self.0, weights.as_chunks().0, &start.0, &start.1, how))?;
         let of_fitted = || fitted.materials.iter();
-        let information = fitted.information.into_flattened().into_flattened();
         let normals = fitted.normals.iter().map(DVec3::to_array);
         Ok((
             rows(py, "start_normals", normals)?,
@@ -142,7 +140,6 @@ impl PyLampSamples {
             out(py, of_fitted().map(|m| m.roughness).collect(), [pixels]),
             out(py, of_fitted().map(|m| m.metallic).collect(), [pixels]),
             out(py, fitted.costs, [pixels]),
-            out(py, information, [pixels, NUMBERS, NUMBERS]),
         ))
     }
 

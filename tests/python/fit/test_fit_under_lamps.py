@@ -80,11 +80,11 @@ def rendered(given: Arguments, *pixels: Array) -> Array:
     return np.asarray(pictures)
 
 
-def fitted(given: Arguments, **changed: Any) -> tuple[Array, Array, Array]:
-    """Normals and materials (P, 8), costs and information."""
-    *pixels, cost, information = of_lamp_samples("fit", given | changed)
-    assert all(np.isfinite(a).all() for a in (*pixels, cost, information))
-    return np.column_stack(pixels), cost, information
+def fitted(given: Arguments, **changed: Any) -> tuple[Array, Array]:
+    """Normals and materials (P, 8), and costs."""
+    *pixels, cost = of_lamp_samples("fit", given | changed)
+    assert all(np.isfinite(a).all() for a in (*pixels, cost))
+    return np.column_stack(pixels), cost
 
 
 def start_of(given: Arguments) -> Array:
@@ -103,7 +103,7 @@ def share(found: Array, planted: Array, tolerance: float = 1e-6) -> float:
 def test_planted_pixels_are_recovered(model: str, ambient: bool) -> None:
     given, planted = example(200, 0, model, ambient=ambient)
     assert share(start_of(given), planted) == 0
-    found, cost, _ = fitted(given)
+    found, cost = fitted(given)
     assert share(found, planted) >= 0.99
     assert np.median(cost) < 1e-20
 
@@ -115,7 +115,7 @@ def test_limits_recover_what_is_cut_off(model: str) -> None:
     low, high = np.quantile(given["pictures"], [0.1, 0.85])
     cut = np.clip(given["pictures"], low, high)
     limits = np.where(given["pictures"] > high, 1, np.where(given["pictures"] < low, 2, 0))
-    found, cost, _ = fitted(given, pictures=cut, limits=limits.astype(np.uint8))
+    found, cost = fitted(given, pictures=cut, limits=limits.astype(np.uint8))
     assert share(found, planted) >= 0.9
     assert np.median(cost) < 1e-20
     taken_as_data, *_ = fitted(given, pictures=cut)
@@ -127,50 +127,14 @@ def test_what_is_held_stays_and_the_rest_is_recovered(model: str) -> None:
     given, planted = example(100, 2, model)
     normals, roughness, metallic = planted[:, :3].copy(), planted[:, 6].copy(), planted[:, 7].copy()
     known = {"start_normals": normals, "roughness": roughness, "metallic": metallic}
-    for free, columns, rows in [
-        ("free_normals", slice(0, 3), [0, 1]),
-        ("free_roughness", slice(6, 7), [5]),
-        ("free_metallic", slice(7, 8), [6]),
+    for free, columns in [
+        ("free_normals", slice(0, 3)),
+        ("free_roughness", slice(6, 7)),
+        ("free_metallic", slice(7, 8)),
     ]:
-        found, _, information = fitted(given | known, **{free: False})
+        found, _ = fitted(given | known, **{free: False})
         np.testing.assert_array_equal(found[:, columns], planted[:, columns])
         assert share(found, planted) >= 0.99
-        assert (information[:, rows] == 0).all()
-        assert (information[:, :, rows] == 0).all()
-        others = np.delete(np.diagonal(information, axis1=1, axis2=2), rows, axis=1)
-        assert (others > 0).all()
-
-
-@every_model
-@pytest.mark.parametrize("ambient", [False, True])
-def test_information_is_that_of_the_derivatives(model: str, ambient: bool) -> None:
-    given, _ = example(20, 3, model, ambient=ambient)
-    rng = np.random.default_rng(0)
-    weights = rng.uniform(0, 2, given["weights"].shape)
-    precision = rng.uniform(0, 1, (20, UNKNOWNS))
-    changed = {"weights": weights, "prior_precision": precision, "iterations": 0}
-    _, cost, information = fitted(given, **changed)
-    base = given["base_normals"]
-    maps = [given[name] for name in ("albedo", "roughness", "metallic")]
-
-    def pictures(unknown: int, step: float) -> Array:
-        x = np.zeros((UNKNOWNS, 20))
-        x[unknown] = step
-        moved = maps[0] + x[2:5].T, maps[1] + x[5], maps[2] + x[6]
-        return rendered(given, reference.turned(base, x[:2]), *moved)
-
-    residual = pictures(0, 0.0) - given["pictures"]
-    jacobian = np.stack(
-        [(pictures(x, 1e-5) - pictures(x, -1e-5)) / 2e-5 for x in range(UNKNOWNS)], axis=-1
-    )
-    expected = np.einsum("pnc,pncx,pncy->pxy", weights, jacobian, jacobian)
-    expected += precision[:, :, None] * np.eye(UNKNOWNS)
-    size = np.sqrt(np.einsum("pxx,pyy->pxy", expected, expected))
-    assert (np.abs(information - expected) < 1e-6 * size).all()
-    x = np.column_stack([np.zeros((20, 2)), *maps])
-    np.testing.assert_allclose(
-        cost, (weights * residual**2).sum((1, 2)) + (precision * x**2).sum(1), rtol=1e-12
-    )
 
 
 @every_model
@@ -180,7 +144,7 @@ def test_a_prior_alone_is_its_mean(model: str) -> None:
     rng = np.random.default_rng(1)
     mean = np.column_stack([rng.uniform(-0.4, 0.4, (30, 2)), rng.uniform(0.1, 0.9, (30, 5))])
     precision = rng.uniform(0.1, 10, (30, UNKNOWNS))
-    found, cost, information = fitted(
+    found, cost = fitted(
         given,
         weights=np.zeros_like(given["weights"]),
         start_normals=unit(given["base_normals"] + 0.1),
@@ -192,7 +156,6 @@ def test_a_prior_alone_is_its_mean(model: str) -> None:
     )
     np.testing.assert_allclose(found, expected, atol=1e-4)
     assert (cost < 1e-6).all()
-    np.testing.assert_array_equal(information, precision[:, :, None] * np.eye(UNKNOWNS))
 
 
 @every_model
@@ -202,11 +165,11 @@ def test_extreme_pictures_are_fitted_without_end_or_nan(model: str) -> None:
     given["metallic"][::4], given["metallic"][1::4] = 0, 1
     given["roughness"][::5], given["roughness"][1::5] = 0, 1
     ones = np.ones_like(given["pictures"])
-    _, at_start, _ = fitted(given, iterations=0)
+    _, at_start = fitted(given, iterations=0)
     for pictures, limits in [(0 * ones, 0), (1e15 * ones, 0), (0 * ones, 2), (ones, 1), (-ones, 0)]:
         changed = {"pictures": pictures, "limits": np.full(ones.shape, limits, np.uint8)}
-        _, before, _ = fitted(given, iterations=0, **changed)
-        found, after, _ = fitted(given, **changed)
+        _, before = fitted(given, iterations=0, **changed)
+        found, after = fitted(given, **changed)
         assert (after <= before).all()
         assert (found[:, 3:] >= 0).all()
         assert (found[:, 3:] <= 1).all()
@@ -222,7 +185,7 @@ def test_normals_stay_on_the_side_of_the_camera(model: str) -> None:
     across = unit(np.cross(views, [1.0, 0.2, 0.1]))
     edge = unit(across + 0.1 * views)
     directions = unit(across - 0.5 * views)[:, None]
-    found, _, _ = fitted(
+    found, _ = fitted(
         given,
         directions=np.repeat(directions, LAMPS, axis=1),
         base_normals=edge,
@@ -237,9 +200,9 @@ def test_a_mirror_that_is_none_leaves_its_start(model: str) -> None:
     """The slope by roughness is 0 at 0. Narrow lobes have many minima, so not all get far."""
     given, planted = example(100, 9, model)
     given["roughness"][:] = 0
-    found, cost, _ = fitted(given)
+    found, cost = fitted(given)
     assert (found[:, 6] > 0.1).mean() > 0.7
-    stuck, at_zero, _ = fitted(given, free_roughness=False)
+    stuck, at_zero = fitted(given, free_roughness=False)
     assert (stuck[:, 6] == 0).all()
     assert np.median(cost) < 0.1 * np.median(at_zero)
     assert (cost <= fitted(given, iterations=0)[1]).all()

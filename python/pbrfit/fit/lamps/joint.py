@@ -108,7 +108,7 @@ def fit_surfaces(
     turned = np.einsum("px,px->p", state.normals, pixels.normals) < COSINE_MIN
     begin = np.where(turned[:, None], pixels.normals, state.normals)
 
-    *surface, cost, _ = pixels.under(state).fit(
+    *surface, cost = pixels.under(state).fit(
         weights,
         pixels.normals,
         (begin, state.albedo, state.roughness, state.metallic),
