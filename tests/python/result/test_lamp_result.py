@@ -136,12 +136,14 @@ def test_the_preview_shows_lamps(result: Result) -> None:
     assert not np.array_equal(preview(result), preview(dark))
 
 
-@pytest.mark.parametrize("ambient_terms", [0, 9])
-def test_the_lamp_of_one_more_picture_is_found(result: Result, ambient_terms: int) -> None:
+@pytest.mark.parametrize(("ambient_terms", "black"), [(0, 0.0), (9, 0.0), (1, -0.01)])
+def test_the_lamp_of_one_more_picture_is_found(
+    result: Result, ambient_terms: int, black: float
+) -> None:
     place, color = np.array([[0.36, 0.48, 0.8]]), np.array([[1.1, 0.9, 0.7]])
     lamp = Lamps(np.zeros(1, np.intp), place, colors=color)
     around = np.zeros((1, 16, 3))
-    if ambient_terms:
+    if ambient_terms > 1:
         around[:, :4] = 0.05 * np.random.default_rng(0).normal(size=(1, 4, 3))
         around[:, 0] += 0.2
     picture = relight(
@@ -153,7 +155,7 @@ def test_the_lamp_of_one_more_picture_is_found(result: Result, ambient_terms: in
     )
     height, width = used.shape
     views = view_directions(height, width, result.fov)[used]
-    samples = np.asarray(picture[used], float)
+    samples = np.asarray(picture[used], float) + black
     found, ambient, shown = light_of_picture(
         samples,
         np.ones_like(samples),
@@ -167,3 +169,4 @@ def test_the_lamp_of_one_more_picture_is_found(result: Result, ambient_terms: in
     np.testing.assert_allclose(found.colors, lamp.colors, rtol=0.05)
     assert ambient.shape == (16, 3)
     np.testing.assert_allclose(shown, samples, atol=0.02)
+    assert ambient[0].any() == (ambient_terms > 1)  # levels that were cut are no negative light

@@ -624,7 +624,7 @@ class LampFit:
         # Looks have found the scale where steps have not, and it is as uncertain.
         freedom = fit.freedom
         fit.freedom = replace(freedom, scale=True, shape=False)
-        basis, _ = fit.directions()
+        basis, _ = fit.directions(np.zeros(len(shared)))
         fit.freedom = freedom
         inner = np.linalg.pinv(basis.T @ shared @ basis, hermitian=True)
         found = basis @ inner @ basis.T

@@ -342,7 +342,7 @@ class JointLamps:
         None if there is no step.
         """
         lamps = self.state.lamps
-        found = step_of(*system, *self.directions(), self.damping)
+        found = step_of(*system, *self.directions(system[1]), self.damping)
         if found is None:
             return None
         change, of_pixels = found
@@ -350,6 +350,7 @@ class JointLamps:
         colors = change[3 * len(lamps) : 6 * len(lamps)].reshape(-1, 3)
         ambient = self.state.ambient.copy()
         ambient[:, 0] += change[6 * len(lamps) : self._size()].reshape(-1, 3)
+        np.maximum(ambient[:, 0], 0.0, out=ambient[:, 0])
         matrix = np.eye(3)
         if self.freedom.shape:
             matrix += np.tensordot(change[self._size() :], BAS_RELIEF, 1)
@@ -382,8 +383,11 @@ class JointLamps:
         )
         return state, matrix
 
-    def directions(self) -> tuple[Array, Array]:
-        """In which what is shared may move, (M, columns), and slopes of what is held, (rows, M)."""
+    def directions(self, gradient: Array) -> tuple[Array, Array]:
+        """In which what is shared may move, (M, columns), and slopes of what is held, (rows, M).
+
+        Ambient light that is 0 stays where the gradient (M,) would have it negative.
+        """
         from scipy.linalg import block_diag
 
         lamps, count = self.state.lamps, len(self.state.lamps)
@@ -403,7 +407,9 @@ class JointLamps:
                 by_log = 1 / np.maximum(lamps.colors, 1e-12)
                 for c in range(3):
                     held[c, 3 * count + c : 6 * count : 3] = by_log[:, c]
-        free = block_diag(places, colors, np.eye(3 * self.pixels.pictures))
+        ambient = self.state.ambient[:, 0].reshape(-1)
+        held_dark = (ambient <= 0) & (gradient[6 * count : self._size()] > 0)
+        free = block_diag(places, colors, np.eye(len(ambient))[:, ~held_dark])
         if self.freedom.shape:
             free = block_diag(free, np.eye(3))
             held = np.concatenate([held, np.zeros((len(held), 3))], axis=1)

@@ -2,7 +2,8 @@
 
 What held-out pictures are explained by, and relighting by a photograph: 3 + 2 + 3 T numbers for all
 pixels. Directions on a grid are tried, each with the colour and ambient light that are best by
-linear least squares; from the best Gauss and Newton go on.
+linear least squares; from the best Gauss and Newton go on. Neither the lamp nor what is constant of
+the ambient light is below 0.
 """
 
 from __future__ import annotations
@@ -89,7 +90,11 @@ def _linear(pixels: LampPixels, unit: Array, ambient: Array) -> tuple[int, Array
         ridge = 1e-6 * np.trace(matrix, axis1=1, axis2=2) + 1e-12
         ridged = matrix + ridge[:, None, None] * np.eye(1 + terms)
         found[:, c] = np.linalg.solve(ridged, right[..., None])[..., 0]
-        found[:, c, 0] = np.maximum(found[:, c, 0], 0.0)
+        dark = found[:, c] < 0
+        dark[:, 2:] = False
+        ridged = np.where(dark[:, None] | dark[..., None], np.eye(1 + terms), ridged)
+        found[:, c] = np.linalg.solve(ridged, np.where(dark, 0.0, right)[..., None])[..., 0]
+        found[:, c, :2] = np.maximum(found[:, c, :2], 0.0)
         shown = (matrix @ found[:, c, :, None])[..., 0]
         left += w @ y**2 + ((shown - 2 * right) * found[:, c]).sum(axis=1)
     best = int(left.argmin())
@@ -124,6 +129,9 @@ def _refined(pixels: LampPixels, state: LampState, terms: int) -> LampState:
         w = pixels.weights[:, 0].reshape(-1)
         matrix = jacobian.T @ (w[:, None] * jacobian)
         gradient = jacobian.T @ (w * residual[:, 0].reshape(-1))
+        dark = np.append(state.lamps.colors, state.ambient[0, : min(terms, 1)]) <= 0
+        at = 2 + np.flatnonzero(dark & (gradient[2 : 2 + len(dark)] > 0))
+        matrix[at] = matrix[:, at] = gradient[at] = 0.0
         while damping < 1e6:
             damped = matrix + np.diag(damping * np.diag(matrix) + 1e-12 * np.trace(matrix))
             change = -np.linalg.solve(damped, gradient)
@@ -132,6 +140,7 @@ def _refined(pixels: LampPixels, state: LampState, terms: int) -> LampState:
             colors = np.maximum(state.lamps.colors + change[2:5], 0.0)
             ambient = state.ambient.copy()
             ambient[0, :terms] += change[5:].reshape(terms, 3)
+            np.maximum(ambient[0, 0], 0.0, out=ambient[0, 0])
             lamps = replace(state.lamps, places=place, colors=colors)
             trial = replace(state, lamps=lamps, ambient=ambient)
             new = cost_of(trial)

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pbrfit.fit.lamps import scale
-from pbrfit.fit.lamps.joint import ALBEDO_SPREAD, Freedom, JointLamps, SurfacePrior
+from pbrfit.fit.lamps.joint import ALBEDO_SPREAD, Freedom, JointLamps, SurfacePrior, minimize
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance, tangents
 from pbrfit.fit.lamps.sample_noise import Noise
 from pbrfit.fit.lamps.surfaces import deviations
@@ -129,6 +129,18 @@ def test_the_joint_system_is_of_all_slopes_and_weights(model: Model, ambient: bo
     each, of_priors = fit.scores(along)
     assert_alike(each, (pushes[:, :size] - (mixed * solved).sum(axis=1)) @ along)
     assert_alike(np.array(of_priors), pulled @ along)
+
+
+@pytest.mark.parametrize("black", [-0.1, 0.1])
+def test_ambient_light_is_never_negative(black: float) -> None:
+    """Pictures whose black is too high, or whose levels were cut too low."""
+    pixels, state = example("paper", ambient=False)
+    fit = joint(replace(pixels, samples=radiance(pixels, state) + black), state)
+    assert minimize(fit, steps=10) > 1
+    of_pictures = fit.state.ambient[:, 0]
+    assert (of_pictures >= 0).all()
+    assert (of_pictures == 0).all() == (black < 0)
+    np.testing.assert_array_equal(fit.state.ambient[:, 1:], 0)
 
 
 def test_matrices_that_rounding_made_indefinite_tell_nothing(
