@@ -32,7 +32,12 @@ from pbrfit.fit.lamps.joint import (
     turned,
 )
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
-from pbrfit.fit.lamps.sample_noise import Noise, kept_and_judged, seen_error
+from pbrfit.fit.lamps.sample_noise import (
+    RELATIVE_MIN,
+    Noise,
+    kept_and_judged,
+    seen_error,
+)
 from pbrfit.fit.lamps.samples import FirstShape
 from pbrfit.fit.lamps.scale import Reference
 from pbrfit.fit.lamps.shape import FOV_MAX, FOV_MEAN, FOV_SPREAD, first_shape, height_of
@@ -68,7 +73,7 @@ log = logging.getLogger("pbrfit")
 
 Array = NDArray[np.float64]
 
-ROUNDS, STEPS = 6, 3
+ROUNDS, STEPS = 8, 3
 """Reweighting rounds; Levenberg-Marquardt steps in each."""
 
 LOOKS: dict[int, tuple[tuple[float, ...], tuple[float, ...]]] = {
@@ -325,7 +330,7 @@ class LampFit:
                 shape = self.relief is not None
                 fit.freedom = replace(fit.freedom, places=known is None, colors=True, shape=shape)
             # All samples of pictures that obey the model tell the same scale.
-            if number == self.rounds - 2:
+            if number > LOOK_LAST and not fit.freedom.scale:
                 residual = fit.pixels.residuals(radiance(fit.pixels, fit.state))
                 size = float((fit.pixels.weights * fit.pixels.samples**2).sum())
                 left = float((fit.pixels.weights * residual**2).sum())
@@ -340,8 +345,14 @@ class LampFit:
             # is; else pixels would take what few highlights are off for a roughness of their own.
             spreads = (0.02, 0.05) if freedom.normals else (0.03, 0.25)
             fit.prior = learnt_roughness(few, fit.state, fit.prior, spreads)
+            if number == LOOK_LAST and not near:
+                fit.noise = replace(fit.noise, relative_min=0.0)
             fit.reweigh()
             self._record(fit)
+        # Surfaces, and how uncertain all is, are of a model that is off by some per cent again.
+        relative = max(fit.noise.relative, RELATIVE_MIN)
+        fit.noise = replace(fit.noise, relative=relative, relative_min=RELATIVE_MIN)
+        fit.reweigh(renew=False)
         return fit
 
     def _record(self, fit: JointLamps) -> None:
@@ -378,10 +389,10 @@ class LampFit:
             metals = (few.labels > 0).astype(float)
             metallic = np.repeat([np.zeros(len(few)), metals], len(roughnesses), axis=0)
             roughnesses = np.tile(roughnesses, (2, 1))
-        # Normals are off by their own deviation, which makes a lobe wider that samples are within,
-        # and each of these less likely to be.
+        # Free normals are off by their own deviation, which makes a lobe wider that samples are
+        # within, and each of these less likely to be.
         lobes = roughnesses**4
-        widths = lobes + 1 / prior.precision[:, 0]
+        widths = lobes + fit.freedom.normals / prior.precision[:, 0]
         within = (angles**2 < widths[..., None]).sum(axis=2) * (lobes / widths)
         independent = INDEPENDENT_SHARE * counts.sum() ** 2 / np.square(counts).sum()
 
@@ -453,7 +464,7 @@ class LampFit:
         mirrors = surfaces.mirroring(directions, pixels.views[:, None])
         angles = np.arccos(np.clip(np.einsum("px,pkx->pk", pixels.normals, mirrors), -1, 1))
         sigma = self._offset_sigma(pixels.places)
-        least = np.hypot(ROUGHNESSES[0] ** 2, sigma)
+        least = np.hypot(ROUGHNESSES[0] ** 2, sigma * fit.freedom.normals)
         octave = np.log2(np.maximum(angles.min(axis=1) / least, 1)).astype(np.intp)
         shares = np.zeros(len(pixels))
         for label in np.unique(pixels.labels):

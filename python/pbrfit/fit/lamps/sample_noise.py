@@ -38,8 +38,8 @@ NOISE_MIN = 1e-4
 RELATIVE_MIN = 0.05
 """Least relative deviation of a sample of the mean radiance, √(γ/0.4), and least spread of the
 logarithm of albedo: no surface is as diffuse as the model, no lamp as far away, and no surface
-without light from others, to better than some per cent. Where pictures obey the model, nothing is
-left, and weights do not matter."""
+without light from others, to better than some per cent. After the last look lamps and shape are
+found as if this were 0: renders obey the model."""
 
 SHADOWS = 1e-3, 0.5
 """Bounds of the share of a picture's samples in cast shadows: with more, they would be the rule."""
@@ -76,6 +76,9 @@ class Noise:
     proportional: bool = False
     """Whether (κ y)² stands for γ y: near lamps light what is beside them a hundred times as much
     as the rest, and what is off is off in proportion."""
+
+    relative_min: float = RELATIVE_MIN
+    """Least `relative` that is found."""
 
     @classmethod
     def first(cls, pixels: LampPixels, *, proportional: bool = False) -> Noise:
@@ -125,8 +128,8 @@ class Noise:
             if floor2 < NOISE_MIN**2 or determinant <= 1e-12 * a * c:
                 floor2 = NOISE_MIN**2
                 relative2 = (e - b * floor2) / max(c, np.finfo(np.float64).tiny)
-            if relative2 < RELATIVE_MIN**2:
-                relative2 = RELATIVE_MIN**2
+            if relative2 < self.relative_min**2:
+                relative2 = self.relative_min**2
                 floor2 = max((d - b * relative2) / max(a, 1e-300), NOISE_MIN**2)
         seen = np.maximum(counted.sum(axis=0), 1)
         share = (counted - ordinary).sum(axis=0) / seen
