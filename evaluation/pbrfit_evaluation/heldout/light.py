@@ -154,23 +154,17 @@ def harmonics(materials: Materials, normals: Array, fov: float, used: Mask, mode
     return partial(combination, np.moveaxis(weights, -1, 0))
 
 
-def lamp(result: Result, used: Mask, terms: int, threads: int) -> Solve:
-    """A far lamp, and ambient light of so many coefficients."""
+def lamp(result: Result, used: Mask, threads: int) -> Solve:
+    """A far lamp, and constant ambient light."""
     height, width = used.shape
     views = view_directions(height, width, result.fov)[used]
     maps = result.albedo[used], result.roughness[used], result.metallic[used]
     surfaces = result.normals[used], views, tuple(np.asarray(one, np.float64) for one in maps)
 
     def solve(radiance: Array, weights: Array) -> Array:
-        return light_of_picture(radiance, weights, *surfaces, result.model, terms, threads)[2]
+        return light_of_picture(radiance, weights, *surfaces, result.model, threads)[2]
 
     return solve
-
-
-def ambient_terms(result: Result) -> int:
-    """Coefficients of ambient light that a result has beside lamps, at most 9."""
-    used = np.flatnonzero(np.abs(result.lighting).max(axis=(0, 2)))
-    return next((terms for terms in (0, 1, 4) if (used < terms).all()), 9)
 
 
 def explained_by(
@@ -191,10 +185,8 @@ def explained_by(
             scene = scene.decoded_by(camera.response)
         scene = scene.through(result.fov, camera.correction)
     used = scene.valid & result.mask
-    if light == "lamp":
-        solve = lamp(result, used, 1, threads)
-    elif result.lamps is not None:
-        solve = lamp(result, used, ambient_terms(result), threads)
+    if light == "lamp" or result.lamps is not None:
+        solve = lamp(result, used, threads)
     else:
         solve = harmonics(result.materials, result.normals, result.fov, used, result.model)
     curve = curve_of(scene)

@@ -24,7 +24,7 @@ from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.arrays import Array, Mask, known
 from pbrfit_evaluation.estimator_errors import angle_errors
 from pbrfit_evaluation.heldout.baselines import Baseline, explained_by_kept
-from pbrfit_evaluation.heldout.light import ambient_terms, explained_by
+from pbrfit_evaluation.heldout.light import explained_by
 from pbrfit_evaluation.heldout.sources import Opened, Source, asked_sources, evenly, opened
 from pbrfit_evaluation.jobs import Values, digest_of_files
 from pbrfit_evaluation.panels import packed
@@ -177,7 +177,7 @@ def run(task: Task, threads: int) -> Values:
     seconds, processor = perf_counter() - began[0], process_time() - began[1]
     if result is not None:
         own = explained_by(result, judged, which.held_out, threads=threads)
-        same = result.lamps is not None and ambient_terms(result) == 1
+        same = result.lamps is not None
         lamp = own if same else explained_by(result, judged, which.held_out, "lamp", threads)
     return {
         "size": [judged.width, judged.height],

@@ -1,9 +1,8 @@
 """The lamp and ambient light of one more picture, on a surface that is known.
 
-What held-out pictures are explained by, and relighting by a photograph: 3 + 2 + 3 T numbers for all
-pixels. Directions on a grid are tried, each with the colour and ambient light that are best by
-linear least squares; from the best Gauss and Newton go on. Neither the lamp nor what is constant of
-the ambient light is below 0.
+What held-out pictures are explained by: 2 + 3 + 3 numbers for all pixels. Directions on a grid are
+tried, each with the colour and the constant ambient light that are best by linear least squares;
+from the best Levenberg and Marquardt go on. No light is below 0.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import _core
-from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance, surface_of, tangents
+from pbrfit.fit.lamps.problem import LampPixels, LampState, by_place, radiance, surface_of
 from pbrfit.fit.lamps.samples import MATT_PIXELS
 from pbrfit.fit.sampling import evenly_spaced
 from pbrfit.fit.settings import MEAN_RADIANCE
@@ -32,7 +31,6 @@ def light_of_picture(
     views: Array,
     materials: tuple[Array, ...],
     model: Model,
-    terms: int = 1,
     threads: int = 0,
 ) -> tuple[Lamps, Array, Array]:
     """The light of a picture of pixels whose surfaces are known.
@@ -40,10 +38,9 @@ def light_of_picture(
     That is one lamp, SH light (16, 3), and their radiance (P, 3). `samples` (P, 3) are linear
     Rec.709, and `weights` (P, 3) how much each counts, 0 = not at all; `normals` and `views` (P, 3)
     are unit vectors, the latter to the camera; `materials` albedo (P, 3), roughness (P,) and
-    metallic (P,). Ambient light has so many `terms`: 0, 1, 4 or 9 coefficients.
+    metallic (P,).
     """
     scale = max(float(samples.mean()) / MEAN_RADIANCE, 1e-12)
-    places = np.arange(len(samples))
     pixels = LampPixels(
         samples[:, None] / scale,
         weights[:, None],
@@ -52,7 +49,7 @@ def light_of_picture(
         None,
         normals,
         np.zeros(len(samples), np.intp),
-        places,
+        np.arange(len(samples)),
         scale,
         model,
         threads,
@@ -62,87 +59,74 @@ def light_of_picture(
     rows = evenly_spaced(len(pixels), MATT_PIXELS).astype(np.intp)
     few, some = pixels.of_rows(rows), state.of_rows(rows)
     surfaces = some.normals, few.views, some.albedo, some.roughness, some.metallic
-    ambient = _core.shade(*surfaces, model).reshape(-1, 3, 16)[..., :terms]
     tried = spread_directions(400)  # 10 degrees apart
     directions = np.broadcast_to(tried, (len(few), *tried.shape)).copy()
     unit = _core.lamp_radiance(*surfaces, directions, threads, model)
-    best, color, of_ambient = _linear(few, unit, ambient)
-    around = np.zeros((1, 16, 3))
-    around[0, :terms] = of_ambient
-    lamps = replace(one, places=tried[best][None], colors=color[None])
-    found = _refined(few, replace(some, lamps=lamps, ambient=around), terms)
+    ambient = _core.shade(*surfaces, model).reshape(-1, 3, 16)[..., 0]
+    best, light = _linear(few, unit, ambient)
+    found = _refined(few, _under(some, tried[best], light))
     state = replace(state, lamps=found.lamps, ambient=found.ambient)
     lamps = replace(found.lamps, colors=found.lamps.colors * scale)
     return lamps, found.ambient[0] * scale, radiance(pixels, state)[:, 0] * scale
 
 
-def _linear(pixels: LampPixels, unit: Array, ambient: Array) -> tuple[int, Array, Array]:
-    """Which of the directions leaves least with its best colour and ambient light, and these."""
-    count, terms = unit.shape[1], ambient.shape[-1]
-    left, found = np.zeros(count), np.zeros((count, 3, 1 + terms))
+def _under(state: LampState, place: Array, light: Array) -> LampState:
+    """Surfaces under a lamp along a vector (3,) and constant light, of colours `light` (2, 3)."""
+    around = np.zeros((1, 16, 3))
+    lamp, around[0, 0] = np.maximum(light, 0.0)
+    place = place / np.linalg.norm(place)
+    lamps = replace(state.lamps, places=place[None], colors=lamp[None])
+    return replace(state, lamps=lamps, ambient=around)
+
+
+def _linear(pixels: LampPixels, unit: Array, ambient: Array) -> tuple[int, Array]:
+    """Which direction leaves least with its best lamp and constant light, and their colours (2, 3).
+
+    `unit` (P, 400, 3) is the radiance under lamps there, `ambient` (P, 3) under constant light.
+    """
+    left, found = np.zeros(unit.shape[1]), np.zeros((unit.shape[1], 2, 3))
     for c in range(3):
         w, y, lamps = pixels.weights[:, 0, c], pixels.samples[:, 0, c], unit[..., c]
-        around = w[:, None] * ambient[:, c]
-        matrix, right = np.empty((count, 1 + terms, 1 + terms)), np.empty((count, 1 + terms))
+        around = w * ambient[:, c]
+        matrix, right = np.empty((*left.shape, 2, 2)), np.empty((*left.shape, 2))
         matrix[:, 0, 0], right[:, 0] = w @ lamps**2, (w * y) @ lamps
-        matrix[:, 0, 1:] = matrix[:, 1:, 0] = lamps.T @ around
-        matrix[:, 1:, 1:], right[:, 1:] = ambient[:, c].T @ around, y @ around
+        matrix[:, 0, 1] = matrix[:, 1, 0] = around @ lamps
+        matrix[:, 1, 1], right[:, 1] = around @ ambient[:, c], around @ y
         ridge = 1e-6 * np.trace(matrix, axis1=1, axis2=2) + 1e-12
-        ridged = matrix + ridge[:, None, None] * np.eye(1 + terms)
-        found[:, c] = np.linalg.solve(ridged, right[..., None])[..., 0]
-        dark = found[:, c] < 0
-        dark[:, 2:] = False
-        ridged = np.where(dark[:, None] | dark[..., None], np.eye(1 + terms), ridged)
-        found[:, c] = np.linalg.solve(ridged, np.where(dark, 0.0, right)[..., None])[..., 0]
-        found[:, c, :2] = np.maximum(found[:, c, :2], 0.0)
-        shown = (matrix @ found[:, c, :, None])[..., 0]
-        left += w @ y**2 + ((shown - 2 * right) * found[:, c]).sum(axis=1)
+        ridged = matrix + ridge[:, None, None] * np.eye(2)
+        light = np.linalg.solve(ridged, right[..., None])[..., 0]
+        # Where one would be below 0, the other alone.
+        alone = np.maximum(right, 0.0) / np.einsum("kii->ki", ridged)
+        light = np.where((light[:, ::-1] < 0), alone, np.maximum(light, 0.0))
+        left += w @ y**2 + (((matrix @ light[..., None])[..., 0] - 2 * right) * light).sum(axis=1)
+        found[..., c] = light
     best = int(left.argmin())
-    return best, np.maximum(found[best, :, 0], 1e-9), found[best, :, 1:].T
+    return best, found[best]
 
 
-def _refined(pixels: LampPixels, state: LampState, terms: int) -> LampState:
-    """Gauss-Newton with damping on direction, colour and ambient light."""
-    damping = 1e-3
+def _refined(pixels: LampPixels, state: LampState) -> LampState:
+    """Levenberg–Marquardt on direction, colour and constant ambient light."""
+    damping, strength = 1e-3, np.ones((1, 1))
 
     def cost_of(one: LampState) -> float:
-        residual = radiance(pixels, one) - pixels.samples
-        return float((pixels.weights * residual**2).sum())
+        return float((pixels.weights * (radiance(pixels, one) - pixels.samples) ** 2).sum())
 
     cost = cost_of(state)
     for _ in range(30):
-        residual = radiance(pixels, state) - pixels.samples
-        normals, albedo, roughness, metallic = surface_of(state)
-        surfaces = normals, pixels.views, albedo, roughness, metallic
-        frame = tangents(state.lamps.places)[0]
-        step = np.cbrt(np.finfo(np.float64).eps)  # where differences round as much as they bend
-        beside = np.concatenate([np.zeros((1, 3)), step * frame, -step * frame])
-        beside += state.lamps.places
-        beside /= np.linalg.norm(beside, axis=-1, keepdims=True)
-        directions = np.broadcast_to(beside, (len(pixels), *beside.shape)).copy()
-        unit = _core.lamp_radiance(*surfaces, directions, pixels.threads, pixels.model)
-        by_place = (unit[:, 1:3] - unit[:, 3:]).swapaxes(1, 2) / (2 * step)
-        by_ambient = _core.shade(*surfaces, pixels.model).reshape(-1, 3, 16)[..., :terms, None]
-        parts = [by_place * state.lamps.colors[0, :, None], unit[:, 0, :, None] * np.eye(3)]
-        parts.append((by_ambient * np.eye(3)[:, None]).reshape(len(pixels), 3, -1))
-        jacobian = np.concatenate(parts, axis=-1).reshape(3 * len(pixels), -1)
-        w = pixels.weights[:, 0].reshape(-1)
-        matrix = jacobian.T @ (w[:, None] * jacobian)
-        gradient = jacobian.T @ (w * residual[:, 0].reshape(-1))
-        dark = np.append(state.lamps.colors, state.ambient[0, : min(terms, 1)]) <= 0
-        at = 2 + np.flatnonzero(dark & (gradient[2 : 2 + len(dark)] > 0))
-        matrix[at] = matrix[:, at] = gradient[at] = 0.0
+        light = np.concatenate([state.lamps.colors, state.ambient[:, 0]])
+        turn = by_place(pixels, state.lamps, state.lamps.places[None])
+        _, mixed, matrix = pixels.under(state).system(
+            pixels.weights, surface_of(state), strength, turn
+        )
+        assert matrix is not None
+        gradient = mixed[:, -1].sum(axis=0)
+        dark = 3 + np.flatnonzero((light.ravel() <= 0) & (gradient[3:] > 0))
+        matrix[dark] = matrix[:, dark] = gradient[dark] = 0.0
         while damping < 1e6:
             damped = matrix + np.diag(damping * np.diag(matrix) + 1e-12 * np.trace(matrix))
             change = -np.linalg.solve(damped, gradient)
-            place = state.lamps.places + np.clip(change[:2], -0.3, 0.3) @ frame
-            place /= np.linalg.norm(place)
-            colors = np.maximum(state.lamps.colors + change[2:5], 0.0)
-            ambient = state.ambient.copy()
-            ambient[0, :terms] += change[5:].reshape(terms, 3)
-            np.maximum(ambient[0, 0], 0.0, out=ambient[0, 0])
-            lamps = replace(state.lamps, places=place, colors=colors)
-            trial = replace(state, lamps=lamps, ambient=ambient)
+            place = state.lamps.places[0] + np.clip(change[:3], -0.3, 0.3)
+            trial = _under(state, place, light + change[3:].reshape(2, 3))
             new = cost_of(trial)
             if new < cost:
                 break
