@@ -18,7 +18,7 @@ from pbrfit.fit.independent_lights import Shown
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.penalties import idle_priors
 from pbrfit.result.light_sides import main_directions, one_side
-from pbrfit.result.options import Priors, prior_names
+from pbrfit.result.options import Priors
 from pbrfit.result.verdict import Verdict, doubted
 from pbrfit.scene.arrays import CHANNELS
 from pbrfit.scene.scene import Scene
@@ -102,14 +102,9 @@ def _causes(
 
 
 def left_out_words(
-    scene: Scene,
-    layout: ParameterLayout,
-    priors: Priors,
-    *,
-    uncertainty: bool = True,
-    lighting: Array | None = None,
+    scene: Scene, layout: ParameterLayout, priors: Priors, lighting: Array | None = None
 ) -> Iterator[str]:
-    """What the scene did not need or the options ruled out, in words; `lighting` as above."""
+    """What the scene did not need, in words; `lighting` as above."""
     masked = 0 if scene.mask is None else int(np.count_nonzero(~scene.mask))
     if masked:
         yield f"{masked} pixels outside the mask"
@@ -126,24 +121,9 @@ def left_out_words(
             yield f"{single} values of weight 0 at other pixels"
     if layout.channels == 1:
         yield "second and third colour channel: equal to the first"
-    elif layout.light_channels == 1 and layout.lighting is not None:
-        yield "colour of the lights: one light for all channels was asked for"
-    if layout.sh_order < 3:
-        known = scene.lighting is not None
-        why = "the known lights have none" if known else "order 2 was asked for"
-        yield f"band 3 of the lights: {why}"
-    if layout.metallic is None:
-        yield "metallic: given, so it was not fitted"
+    if layout.sh_order < 3 and scene.lighting is not None:
+        yield "band 3 of the lights: the known lights have none"
     if layout.lighting is None:
         yield "lights and their gradient: known, so only materials were fitted"
-    if priors == Priors.none():
-        yield "priors: none asked for"
-    else:
-        idle = idle_priors(layout, priors, lighting)
-        for name in prior_names():
-            if getattr(priors, name) == 0 and getattr(Priors(), name) != 0:
-                yield f"prior {name}: weight 0"
-            elif name in idle:
-                yield f"prior {name}: {idle[name]}"
-    if not uncertainty:
-        yield "uncertainty: not asked for"
+    for name, why in idle_priors(layout, priors, lighting).items():
+        yield f"prior {name}: {why}"

@@ -219,13 +219,7 @@ def _result(
     found = replace(found, camera=camera)
     threads, model = setup.threads, setup.model
     left_out = tuple(
-        left_out_words(
-            scene,
-            setup.layout(scene),
-            options.priors,
-            uncertainty=options.uncertainty,
-            lighting=found.measured_lighting,
-        )
+        left_out_words(scene, setup.layout(scene), options.priors, found.measured_lighting)
     )
     scene = scene.through(found.camera.fov_degrees, found.camera.correction)
     given = np.asarray(scene.normals, dtype=np.float64)
