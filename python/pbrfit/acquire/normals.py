@@ -30,8 +30,7 @@ Array = NDArray[np.float64]
 DEPTH = "depth:"
 
 HALF_WEIGHT = 5.0
-"""Degrees of uncertainty at which a pixel counts half; `weights_of` says why."""
-
+"""Degrees of uncertainty at which a pixel counts half; `Normals.weights` says why."""
 
 BEHIND_SHARE_MAX = 0.01
 """Share of the pixels of a tangent-space map above which normals that point behind its surface say
@@ -58,8 +57,28 @@ class Normals:
 
     @property
     def weights(self) -> NDArray[np.float32] | None:
-        """(H, W): how much the pixels should count; None if all the same."""
-        return weights_of(self.uncertainty, self.known)
+        """(H, W): how much pixels count whose normals are uncertain; None if all the same.
+
+        The weight of a sample is the inverse of its variance. A normal that is off by δ changes
+        what a pixel shows by about κ I δ, where κ, the relative slope of shading by angle, is of
+        the order of 1. Beside that, samples have a variance ε² I² that does not come from normals:
+        noise, and what the model does not hold, such as shadows. With δ of the size σ, the
+        uncertainty, the variance is I² (ε² + κ² σ²), so
+
+            ω = 1 / (1 + (σ/σ₀)²),     σ₀ = ε/κ,
+
+        up to a factor, which does not matter. κ is 0.7 (RMS over the pixels of six furnished rooms,
+        SH lights, normals off by 1 to 15 degrees; median 0.45), so `HALF_WEIGHT`, 5 degrees, stands
+        for ε = 6 %. There, with normals off by 5 degrees on average and σ known, errors of relit
+        pictures fell from 0.170 without weights to 0.118, 0.136 and 0.158 with σ₀ of 1.5, 5 and 20
+        degrees. An ensemble tells only a part of σ, which is why σ₀ is not smaller. Where there is
+        no normal at all, the weight is 0.
+        """
+        known = np.ones(self.normals.shape[:2], bool) if self.known is None else self.known
+        if self.uncertainty is None and known.all():
+            return None
+        sigma = 0.0 if self.uncertainty is None else self.uncertainty
+        return np.where(known, 1 / (1 + (sigma / HALF_WEIGHT) ** 2), 0).astype(np.float32)
 
 
 def estimate(
@@ -121,39 +140,6 @@ def kind_of(source: str) -> str:
     if source in ("marigold", "flat"):
         return source
     return "depth" if source.startswith(DEPTH) else "file"
-
-
-def weights_of(
-    uncertainty: NDArray[np.floating[Any]] | None, known: NDArray[np.bool_] | None
-) -> NDArray[np.float32] | None:
-    """How much pixels count whose normals are uncertain: (H, W), or None if all the same.
-
-    The weight of a sample is the inverse of its variance. A normal that is off by δ changes what a
-    pixel shows by about κ I δ, where κ, the relative slope of shading by angle, is of the order of
-    1. Beside that, samples have a variance ε² I² that does not come from normals: noise, and what
-    the model does not hold, such as shadows. With δ of the size σ the variance is
-    I² (ε² + κ² σ²), so
-
-        ω = 1 / (1 + (σ/σ₀)²),     σ₀ = ε/κ,
-
-    up to a factor, which does not matter. κ is 0.7 (RMS over the pixels of six furnished rooms, SH
-    lights, normals off by 1 to 15 degrees; median 0.45), so `HALF_WEIGHT`, 5 degrees, stands for ε
-    = 6 %. There, with normals off by 5 degrees on average and σ known, errors of relit pictures
-    fell from 0.170 without weights to 0.118, 0.136 and 0.158 with σ₀ of 1.5, 5 and 20 degrees. An
-    ensemble tells only a part of σ, which is why σ₀ is not smaller. `uncertainty` (H, W) is σ in
-    degrees; where `known` (H, W) says that there is no normal at all, the weight is 0.
-    """
-    if known is not None and known.all():
-        known = None
-    if uncertainty is not None:
-        weights = 1 / (1 + (np.asarray(uncertainty, np.float64) / HALF_WEIGHT) ** 2)
-    elif known is not None:
-        weights = np.ones(known.shape)
-    else:
-        return None
-    if known is not None:
-        weights[~known] = 0
-    return weights.astype(np.float32)
 
 
 def from_normals(

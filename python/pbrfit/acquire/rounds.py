@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from pbrfit.acquire.generators import RETRY_STEP, Generator, Refused, Request
+from pbrfit.acquire.generators import RETRY_STEP, Generated, Generator, Refused, Request
 from pbrfit.acquire.journal import Entry, Journal
 from pbrfit.acquire.photo import Photo
 from pbrfit.io.color import Conversion
@@ -57,7 +57,7 @@ class Picture:
     @property
     def reason(self) -> str:
         """Why the last attempt was refused."""
-        return self.attempts[-1].reason if self.attempts else "never asked for"
+        return self.attempts[-1].reason
 
 
 Progress = Callable[[str, int, int], None]
@@ -89,25 +89,20 @@ class Rounds:
             self._until_accepted(picture)
         if self.reviewer is None:
             return pictures
-        while True:
-            accepted = [picture for picture in pictures if picture.accepted]
-            if not accepted:
-                return pictures
+        while accepted := [picture for picture in pictures if picture.accepted]:
             self._tell("reviewing together")
             entries = (picture.attempts[-1].entry for picture in accepted)
             verdicts = self.reviewer.together([LINEAR(self.journal.pixels(e)) for e in entries])
-            refused = []
             for picture, verdict in zip(accepted, verdicts, strict=True):
-                reason = "" if verdict.accepted else verdict.reason
                 picture.attempts[-1] = dataclasses.replace(
-                    picture.attempts[-1], together=verdict.checks, reason=reason
+                    picture.attempts[-1], together=verdict.checks, reason=verdict.reason
                 )
-                if reason:
-                    refused.append(picture)
+            refused = [picture for picture in accepted if not picture.accepted]
             if not refused:
-                return pictures
+                break
             for picture in refused:
                 self._until_accepted(picture)
+        return pictures
 
     def _until_accepted(self, picture: Picture) -> None:
         """Attempts at one picture, while it is refused by the review and may be asked for again.
@@ -126,10 +121,12 @@ class Rounds:
         entry = self.journal.find(request)
         if entry is None:
             self._tell(f"{request.name}, seed {request.seed}")
+            answer: Generated | Refused
             try:
-                entry = self.journal.keep(request, self.generator.generate(self.photo, request))
+                answer = self.generator.generate(self.photo, request)
             except Refused as refusal:
-                entry = self.journal.refuse(request, refusal)
+                answer = refusal
+            entry = self.journal.keep(request, answer)
         else:
             self._tell(f"{request.name}, in the journal")
         if entry.refused:
@@ -137,7 +134,7 @@ class Rounds:
         if self.reviewer is None:
             return Attempt(entry)
         verdict = self.reviewer.picture(LINEAR(self.journal.pixels(entry)))
-        return Attempt(entry, verdict.checks, reason="" if verdict.accepted else verdict.reason)
+        return Attempt(entry, verdict.checks, reason=verdict.reason)
 
     def _tell(self, what: str) -> None:
         self.progress(what, self.asked, max(self.asked, self.wanted))

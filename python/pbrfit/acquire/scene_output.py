@@ -103,36 +103,25 @@ def place(out: Path) -> Iterator[Path]:
     if nothing can be written there.
     """
     out_at = out.resolve()
+    temporary = out_at / f"{_TEMPORARY}{secrets.token_hex(6)}"
     new = [folder for folder in (out_at, *out_at.parents) if not folder.exists()]
-    try:
+    with unfinished(temporary, parents=new):
         with making(out, "folder"):
             out_at.mkdir(parents=True, exist_ok=True)
-        with _alone(out_at, out), _working(out_at, out) as temporary:
-            yield temporary
-    finally:
-        with suppress(OSError):  # what is not empty stays, and so do the folders above it
-            for folder in new:
-                folder.rmdir()
-
-
-@contextmanager
-def _working(out_at: Path, out: Path) -> Iterator[Path]:
-    """The temporary folder, and what becomes of it."""
-    temporary = out_at / f"{_TEMPORARY}{secrets.token_hex(6)}"
-    with unfinished(temporary):
-        try:
-            with making(out, "folder"):
-                temporary.mkdir()
-            with naming(out, temporary):
-                yield temporary
-                with undisturbed():
-                    _put(temporary, out_at)
-        finally:
-            shutil.rmtree(temporary, ignore_errors=True)
-            kept = out_at / journal.FOLDER
-            with suppress(OSError):
-                if kept.is_dir() and all(path.name == journal.RUN for path in kept.iterdir()):
-                    shutil.rmtree(kept)
+        with _alone(out_at, out):
+            try:
+                with making(out, "folder"):
+                    temporary.mkdir()
+                with naming(out, temporary):
+                    yield temporary
+                    with undisturbed():
+                        _put(temporary, out_at)
+            finally:
+                shutil.rmtree(temporary, ignore_errors=True)
+                kept = out_at / journal.FOLDER
+                with suppress(OSError):
+                    if all(path.name == journal.RUN for path in kept.iterdir()):
+                        shutil.rmtree(kept)
 
 
 @contextmanager
