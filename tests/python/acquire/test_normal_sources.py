@@ -306,7 +306,7 @@ def test_uncertainty_is_kept_beside_the_normals(folder: Path) -> None:
     from pbrfit.scene.completion import add_normals
 
     uncertainty = np.asarray(np.linspace(0, 20, SIZE * SIZE).reshape(SIZE, SIZE), np.float64)
-    weights = known(Normals(room().normals, uncertainty).weights)
+    weights = known(Normals(np.zeros((SIZE, SIZE, 3)), uncertainty).weights)
     paths = add_normals(folder, room().normals, uncertainty=uncertainty, weights=weights)
     assert [path.name for path in paths] == ["normals.exr", "weights.exr"]
     channels = images.read_channels(folder / "normals.exr")
