@@ -67,12 +67,15 @@ def _shown(encoded: Values) -> Image.Image:
     return Image.fromarray(found[..., 0] if found.shape[-1] == 1 else found)
 
 
-def photograph(encoded: Values) -> bytes:
-    """As `picture_png`; large ones as WebP: a tenth of the bytes in a fifth of the time."""
+def photograph(encoded: Values, kind: str = "WEBP", **options: int) -> bytes:
+    """As `picture_png`; large ones as WebP: a tenth of the bytes in a fifth of the time.
+
+    Or as another kind of Pillow's, with its options.
+    """
     if max(encoded.shape) <= LOSSLESS_SIDE:
         return picture_png(encoded)
     buffer = io.BytesIO()
-    _shown(encoded).save(buffer, "WEBP", quality=QUALITY, method=0)
+    _shown(encoded).save(buffer, kind, quality=QUALITY, **(options or {"method": 0}))
     return buffer.getvalue()
 
 
