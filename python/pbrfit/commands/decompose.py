@@ -161,7 +161,7 @@ def _run_all(
         if patience is None and options.cluster is None and address_space.left() is not None:
             patience = PATIENCE
         done_by = workers(options.jobs, options.cluster, most=len(tasks), patience=patience)
-        beside = done_by.apart and options.cluster is None
+        own = done_by if options.cluster is None else None  # those whose memory is this machine's
         try:
             with display:
                 drive(
@@ -169,8 +169,8 @@ def _run_all(
                     decompose_scene,
                     done_by,
                     ended=display.tell,
-                    meanwhile=display.show if done_by.apart else lambda _: None,
-                    memory=partial(memory_of, threads=done_by.threads or 0) if beside else None,
+                    meanwhile=display.show,
+                    memory=partial(memory_of, threads=own.threads or 0) if own else None,
                     available=memory.available(),
                 )
         except ConnectionError as error:
