@@ -83,7 +83,7 @@ def sheet(
     size = (max(1, round(width * factor)), max(1, round(height * factor)))
     column = max(size[0], low)
     captions = [panel.caption for row in rows for panel in row if panel is not None]
-    letters = _letters(column)
+    letters = min(max(column // 13, FONT[0]), FONT[1])  # still readable when a sheet shrinks
     font = _font(captions, column, letters)
     label_font = ImageFont.load_default(letters)
     line = round(1.6 * letters)
@@ -91,9 +91,10 @@ def sheet(
     note_font = ImageFont.load_default(round(0.8 * letters))
     note_line = round(1.1 * letters)
     notes = [[_wrapped(panel, column, note_font, note_line) for panel in row] for row in rows]
+    of_captions = [line * any(panel and panel.caption for panel in row) for row in rows]
     heights = [
-        size[1] + MARGIN + (line if _has_captions(row) else 0) + note_line * max(map(len, below))
-        for row, below in zip(rows, notes, strict=True)
+        above + size[1] + MARGIN + note_line * max(map(len, below))
+        for above, below in zip(of_captions, notes, strict=True)
     ]
     columns = max(len(row) for row in rows)
     top = MARGIN + (round(1.5 * line) if title else 0)
@@ -106,7 +107,7 @@ def sheet(
         draw.text((MARGIN, MARGIN), title, fill=INK, font=large)
     y = top
     for i, row in enumerate(rows):
-        below_caption = y + (line if _has_captions(row) else 0)
+        below_caption = y + of_captions[i]
         if i < len(labels):
             middle = below_caption + size[1] // 2
             draw.text((MARGIN, middle), labels[i], fill=INK, font=label_font, anchor="lm")
@@ -158,10 +159,6 @@ def _disc(draw: ImageDraw.ImageDraw, mark: Mark, corner: tuple[int, int], side: 
     draw.ellipse((left, top, left + side - 1, top + side - 1), outline=color, width=side // 10)
 
 
-def _has_captions(row: Row) -> bool:
-    return any(panel is not None and panel.caption for panel in row)
-
-
 def _draw_key(draw: ImageDraw.ImageDraw, key: Key, corner: tuple[int, int], letters: int) -> None:
     """Caption above a bar with ticks below it; patches to the right."""
     font = ImageFont.load_default(letters)
@@ -200,11 +197,6 @@ def outside_grey(values: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]
     if values.ndim == 2:
         values = np.repeat(values[..., None], 3, axis=-1)
     return np.where(np.isfinite(values), values, OUTSIDE)
-
-
-def _letters(width: int) -> int:
-    """Size of the letters beside panels of this width: they stay readable when a sheet shrinks."""
-    return min(max(width // 13, FONT[0]), FONT[1])
 
 
 def _font(texts: Sequence[str], width: int, largest: int) -> Font:

@@ -103,7 +103,6 @@ def make_scene(
         images=images,
         normals=view.normals,
         fov=view.fov,
-        mask=view.mask,
         segments=view.segments,
         names=tuple(f"light_{i:02d}" for i in range(lights)),
         model=model,

@@ -26,8 +26,6 @@ class RayCast:
     """(H, W) ids from 1, one for each piece and each wall."""
     materials: Materials
     """Ground truth; albedo in linear Rec.709."""
-    mask: NDArray[np.bool_] | None
-    """(H, W), or None when every pixel is valid."""
     fov: float
     """Horizontal field of view in degrees."""
 
@@ -51,7 +49,7 @@ class World:
     def cast(self, size: int, fov: float = 60.0) -> RayCast:
         """Cast one ray through every pixel centre.
 
-        Every pixel is valid (`mask` None) and faces the camera. Its `size` is width and height in
+        Every pixel is valid and faces the camera. Its `size` is width and height in
         pixels, `fov` the horizontal field of view in degrees, 0 < fov < 180. Raises InputError when
         `size` is below 1, or `fov` is outside its range.
         """
@@ -87,7 +85,6 @@ class World:
                 roughness=roughness.reshape(size, size),
                 metallic=metallic.reshape(size, size),
             ),
-            mask=None,
             fov=fov,
         )
 
