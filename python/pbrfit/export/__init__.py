@@ -147,11 +147,11 @@ def export_result(
         masked=not result.mask.all(),
         uncertain=result.uncertainty is not None,
     )
-    maps = Maps.of(result)
-    wanted = height and {"exr", "png"} & {*planned.formats}
-    displacement = Displacement.of(result) if wanted else None
     said: dict[str, tuple[str, str]] = {}
     with new_folder(Path(path), overwrite=overwrite, form=EXPORT_FOLDER) as folder:
+        maps = Maps.of(result)
+        wanted = height and {"exr", "png"} & {*planned.formats}
+        displacement = Displacement.of(result) if wanted else None
 
         def at(name: str, holds: str, color_space: str) -> Path:
             said[name] = holds, color_space

@@ -94,11 +94,15 @@ class Maps:
         values = np.clip(self._stacked(texture), 0.0, 1.0)
         if texture.color:
             values[..., :3] = encode_srgb(values[..., :3])
-        largest = (1 << bits) - 1
-        return np.floor(values * largest + 0.5).astype(np.uint8 if bits == 8 else np.uint16)
+        return codes(values, bits)
 
     def _stacked(self, texture: Texture) -> NDArray[np.float64]:
         return np.stack([CHANNELS[name](self) for name in texture.channels], axis=-1)
+
+
+def codes(values: NDArray[np.float64], bits: Bits) -> NDArray[Any]:
+    """Values from 0 to 1 as uint8 or uint16, spread over all codes."""
+    return np.floor(values * ((1 << bits) - 1) + 0.5).astype(np.uint8 if bits == 8 else np.uint16)
 
 
 def _deviation(channel: int, maps: Maps) -> NDArray[np.float64]:
