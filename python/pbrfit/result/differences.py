@@ -123,28 +123,34 @@ def tick_places(*, degrees: bool = False) -> dict[float, str]:
 
 def residual(
     rendered: Map, picture: Map, weights: NDArray[np.floating[Any]] | None = None
-) -> Difference:
+) -> tuple[Difference, float, float]:
     """Root mean square over channels of (rendered − picture), relative to the picture's RMS.
 
     Both are (H, W, 3), and `rendered` is NaN outside the mask. Values of weight (H, W, 3) 0 took no
-    part in the fit and have none here; pixels with no others are white.
+    part in the fit and have none here; pixels with no others are white. Beside it the root mean
+    squares of picture and residual by those weights.
     """
     used: NDArray[np.bool_] = over_channels(np.logical_and, np.isfinite(rendered))
     squares, channels, brightness = np.zeros(used.shape), np.zeros(used.shape, np.intp), 0.0
+    weighted = np.zeros(3)
     for first in range(0, len(used), ROWS):
         rows = slice(first, first + ROWS)
-        counted = np.broadcast_to(used[rows, :, None], np.shape(picture[rows]))
-        if weights is not None:
-            counted = counted & (weights[rows] > 0)
+        weight = np.broadcast_to(used[rows, :, None], np.shape(picture[rows]))
+        weight = weight * (1.0 if weights is None else weights[rows])
+        counted = weight > 0
         shown = np.where(counted, picture[rows], np.float64(0))
         error = np.where(counted, rendered[rows], 0.0) - shown
         channels[rows] = np.count_nonzero(counted, axis=-1)
         squares[rows] = np.einsum("hwc,hwc->hw", error, error)
         brightness += float(np.einsum("hwc,hwc->", shown, shown))
+        of_both = (np.einsum("hwc,hwc,hwc->", weight, of, of) for of in (shown, error))
+        weighted += weight.sum(dtype=np.float64), *of_both
     difference = np.sqrt(squares / np.maximum(channels, 1))
     difference /= math.sqrt(brightness / max(int(channels.sum()), 1)) or 1.0
     difference[~used] = np.nan
-    return Difference(difference, white=None if weights is None else used & (channels == 0))
+    white = None if weights is None else used & (channels == 0)
+    rms, rmse = np.sqrt(weighted[1:] / (weighted[0] or 1.0)).tolist()
+    return Difference(difference, white=white), rms, rmse
 
 
 def turned(degrees: Map) -> Difference:

@@ -154,7 +154,7 @@ def _pictures(result: ResultData, scene: SceneArrays | None) -> Row:
         white = metrics.white_of(reconstruction)
         return [*panels, Panel(f"reconstruction of {name}", displayed(reconstruction, white))]
     weights = scene.channel_weights(0)
-    residual = differences.residual(reconstruction, scene.images[0], weights)
+    residual, _, _ = differences.residual(reconstruction, scene.images[0], weights)
     picture, white = metrics.showable(scene.images[0], result.mask, weights)
     return [
         *panels,
