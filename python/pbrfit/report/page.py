@@ -64,9 +64,6 @@ TITLES = {
 }
 """Headings by anchor, in their order; sections without content are left out."""
 
-OPEN = {"summary": " open"}
-"""Sections that are not folded at first."""
-
 REFLECTION: Mapping[Model, str] = {
     "paper": "Surfaces reflect by the paper's model, eq. 12, which no renderer has: metals "
     "and dark glossy surfaces of these maps look different there.",
@@ -126,7 +123,7 @@ def _document(result: Result, sections: Mapping[str, str]) -> str:
         sections["relight"],
         "<main>",
         *(
-            f'<section id="{key}"><details{OPEN.get(key, "")}>'
+            f'<section id="{key}"><details{" open" * (key == "summary")}>'
             f"<summary><h2>{escape(title)}</h2></summary>{sections[key]}</details></section>"
             for key, title in TITLES.items()
             if sections[key]
