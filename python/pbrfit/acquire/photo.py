@@ -163,12 +163,12 @@ def shown_to_network(
         if picture not in names:
             raise InputError(f"picture: expected one of {listed(names)}, found {picture!r}")
         paths = (paths[names.index(picture)],)
-    total: NDArray[np.float64] | None = None
+    total: NDArray[np.float64] = np.zeros(())
     for path in paths:
         read = options.picture(path).pixels
         pixels = np.where(np.isfinite(read), read, 0.0).astype(np.float64)
         mean = float(pixels.mean())
-        if total is None:
+        if not total.ndim:
             total = np.zeros_like(pixels)
         if pixels.shape != total.shape:
             raise InputError(
@@ -177,7 +177,7 @@ def shown_to_network(
             )
         if mean > 0:  # a picture without any light tells nothing
             total += pixels / mean
-    if total is None or not total.any():
+    if not total.any():
         raise InputError(f"{paths[0].parent}: expected radiance above 0, found none")
     seen = codes(encoded(total / white_of(total)))
     what = f"picture {paths[0].stem}" if len(paths) == 1 else f"the mean of {len(paths)} pictures"

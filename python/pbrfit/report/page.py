@@ -18,7 +18,7 @@ from pbrfit.report import (
     lamps,
     maps,
     normals,
-    transport,
+    surroundings,
     verdict,
     viewer,
 )
@@ -98,7 +98,7 @@ def page(result: Result, scene: Scene | None, remark: str) -> str:
         + f'<div class="numbers">{tables}</div>'
         + _size_remark("Maps of the view above", view_side, result),
         "lamps": lamps.section(result),
-        "surroundings": transport.section(result),
+        "surroundings": surroundings.section(result),
         "history": _history(result),
         held_out.ANCHOR: held_out.section(result),
         "origin": _origin(result),
