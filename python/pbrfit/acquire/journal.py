@@ -15,14 +15,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from pbrfit._core import InputError
 from pbrfit.acquire.generators import Generated, Refused, Request
 from pbrfit.acquire.padding import read_srgb8
 from pbrfit.acquire.photo import Photo
 from pbrfit.io import images
+from pbrfit.io.arrays import Codes
 from pbrfit.io.input_files import PICTURE_BYTES, read_bytes
 from pbrfit.io.json_files import UNFIT, read_as, read_json, table, whole, words, write_json
 from pbrfit.io.output import new_file
@@ -98,7 +96,7 @@ class Journal:
         self._entries[request] = entry
         return entry
 
-    def pixels(self, entry: Entry) -> NDArray[np.uint8]:
+    def pixels(self, entry: Entry) -> Codes:
         """Picture of an entry, (H, W, 3) sRGB.
 
         Raises InputError if the file is not the one that was received.

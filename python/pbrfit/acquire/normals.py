@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.acquire import marigold
+from pbrfit.io.arrays import Array, Codes, Mask
 from pbrfit.io.depth_files import read_depth
 from pbrfit.io.normal_files import MIN_NORMAL_LENGTH, Convention, read_normals
 from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
@@ -24,8 +25,6 @@ from pbrfit.model.depth_normals import FACING, DepthKind, from_depth
 from pbrfit.scene.depth import without_holes
 
 log = logging.getLogger("pbrfit")
-
-Array = NDArray[np.float64]
 
 DEPTH = "depth:"
 
@@ -44,13 +43,13 @@ DIFFERENT_DEPTHS_MIN = 1024
 class Normals:
     """Normals of a picture, and how they came about."""
 
-    normals: NDArray[np.float64]
+    normals: Array
     """(H, W, 3) unit vectors in camera space: X right, Y up, Z to the viewer."""
-    uncertainty: NDArray[np.float64] | None = None
+    uncertainty: Array | None = None
     """(H, W), degrees: how far single answers of an ensemble are off; None if nothing is known."""
     record: dict[str, Any] = field(default_factory=dict)
     """As JSON: ``source``, and what decided about the answer."""
-    known: NDArray[np.bool_] | None = None
+    known: Mask | None = None
     """(H, W), where the source has a normal; elsewhere it faces the viewer. None = everywhere."""
     remarks: tuple[str, ...] = ()
     """How a file was read, where that is not as its kind suggests."""
@@ -82,12 +81,7 @@ class Normals:
 
 
 def estimate(
-    source: str,
-    srgb8: NDArray[np.uint8],
-    *,
-    fov: float,
-    mask: NDArray[np.bool_] | None = None,
-    **options: Any,
+    source: str, srgb8: Codes, *, fov: float, mask: Mask | None = None, **options: Any
 ) -> Normals:
     """Find normals for a picture.
 
@@ -144,7 +138,7 @@ def kind_of(source: str) -> str:
 
 def from_normals(
     path: Path, size: tuple[int, int], convention: Convention
-) -> tuple[Array, NDArray[np.bool_], tuple[str, ...]]:
+) -> tuple[Array, Mask, tuple[str, ...]]:
     """Normals of a file in camera space, at the size (height, width) of the pictures.
 
     The file is one that `read_normals` reads. The map has the pictures' size, or is larger in the
@@ -182,7 +176,7 @@ def of_depth(
     fov: float,
     kind: DepthKind = "z",
     view_width: float | None = None,
-) -> tuple[Array, NDArray[np.bool_]]:
+) -> tuple[Array, Mask]:
     """Normals of a depth map in a file, at the size (height, width) of the pictures.
 
     The file is one that `read_depth` reads, of the pictures' size or larger in the same proportion;
@@ -213,9 +207,7 @@ def of_depth(
     return _at_size(normals, known, size)
 
 
-def _at_size(
-    normals: Array, known: NDArray[np.bool_], size: tuple[int, int]
-) -> tuple[Array, NDArray[np.bool_]]:
+def _at_size(normals: Array, known: Mask, size: tuple[int, int]) -> tuple[Array, Mask]:
     """Unit normals averaged over the pixels of a smaller picture, and made unit again.
 
     What is not known, or cancels, faces the viewer. Also returns what is known at that size.

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.export.maps import Bits, codes
+from pbrfit.io.arrays import Array
 from pbrfit.model.materials import nearest_inside
 from pbrfit.result.result import Result
 from pbrfit.scene.integration import depth_from_normals
@@ -33,7 +34,7 @@ FLAT = 1e-6
 class Displacement:
     """Height towards the viewer; where it is unknown, that of the nearest pixel."""
 
-    height: NDArray[np.float64]
+    height: Array
     """(H, W), picture widths."""
     low: float
     high: float

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit.export.nonnegative import nonnegative_radiance, surface_response
 from pbrfit.io import images
+from pbrfit.io.arrays import Array
 from pbrfit.io.quoting import cell
 from pbrfit.model import panorama
 from pbrfit.model.lighting import Lighting
@@ -73,13 +73,13 @@ def write_lights(folder: Path, result: Result) -> tuple[LightPanorama, ...]:
     return tuple(panoramas)
 
 
-def _lamps_as_texels(result: Result) -> dict[str, NDArray[np.float64]]:
+def _lamps_as_texels(result: Result) -> dict[str, Array]:
     """Panoramas of the lamps alone by picture, as the middle of the surface sees them.
 
     A lamp of irradiance E = π · colour is E over a solid angle: it is shared among the four texels
     about its direction, linearly, so that their mean is that direction.
     """
-    found: dict[str, NDArray[np.float64]] = {}
+    found: dict[str, Array] = {}
     if result.lamps is None:
         return found
     angles = panorama.solid_angles(HEIGHT, 2 * HEIGHT)

@@ -23,17 +23,15 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit.fit.sampling import evenly_spaced
+from pbrfit.io.arrays import Array
 from pbrfit.model import panorama
 from pbrfit.model.geometry import view_directions
 from pbrfit.model.reflection import sh_basis, shade
 
 if TYPE_CHECKING:
     from pbrfit.result.result import Result
-
-Array = NDArray[np.float64]
 
 PIXELS = 4096
 """Number of pixels that stand for all in M, whose 136 numbers need no more."""

@@ -22,17 +22,15 @@ from collections.abc import Callable
 from pathlib import PurePosixPath
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.io.arrays import Array, Codes, Mask
 from pbrfit.io.color import encode_srgb
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import sh_basis
 from pbrfit.result import metrics
 from pbrfit.result.relighting import relight
 from pbrfit.result.result import Result
-
-Array = NDArray[np.float64]
 
 LP_FILE = "lamps.lp"
 LP_HOLDS = "directions to the lamps, X right, Y up, Z to the viewer, by picture file"
@@ -186,7 +184,7 @@ def openlime(result: Result) -> tuple[dict[str, bytes], float]:
     return files, white
 
 
-def _planes(result: Result) -> tuple[NDArray[np.uint8], Array, Array, float]:
+def _planes(result: Result) -> tuple[Codes, Array, Array, float]:
     """Codes (H, W, 9, 3) of hemispherical harmonics, steps and zeros (9,) as of `_coded`, white."""
     coefficients, _, white = _fitted(result, harmonics)
     of_pixels, steps, zeros = _coded(coefficients.reshape(9, -1))
@@ -224,7 +222,7 @@ def _coded(coefficients: Array) -> tuple[Array, Array, Array]:
     return np.clip(codes, 0, 255), steps, zeros
 
 
-def _placed(codes: Array, outside: Array, mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def _placed(codes: Array, outside: Array, mask: Mask) -> Codes:
     """(H, W, ...): codes (P, ...) of the pixels in the mask, and those of all others."""
     found = np.empty((*mask.shape, *codes.shape[1:]), np.uint8)
     found[:] = outside

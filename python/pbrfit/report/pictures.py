@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit.display.tone import encoded
+from pbrfit.io.arrays import Array
 from pbrfit.report import lights, raster
 from pbrfit.report.html import Cell, Table, heads, number
 from pbrfit.report.lights import Light
@@ -53,7 +53,7 @@ class Picture:
     """Its light, without lamps: in numbers; on balls, as a panorama, None where there are lamps."""
     white: float
     """What is shown as white."""
-    radiance: tuple[NDArray[np.float64], ...]
+    radiance: tuple[Array, ...]
     """The picture, unless it is not there, and its reconstruction; of the largest side shown."""
     fit: Fit | None = None
     residual: Difference | None = None

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit.display.tone import encoded
+from pbrfit.io.arrays import Array
 from pbrfit.io.resampling import reduced_size
 from pbrfit.report import figures, raster
 from pbrfit.report.html import paragraph
@@ -21,8 +21,6 @@ from pbrfit.transport.scenery import BACK, SIDE, WALL, Scenery
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
 
 RELIT_SIDE = 384
 """Longer side of the relit pictures."""

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from pbrfit.display.tone import encoded
+from pbrfit.io.arrays import Codes, Floats
 from pbrfit.result.verdict import Mark
 
 PANEL_SIDE = (192, 384)
@@ -38,7 +37,7 @@ class Panel:
 
     caption: str
     """A line above it."""
-    pixels: NDArray[np.floating[Any]]
+    pixels: Floats
     note: str = ""
     """Below it, in as many lines as it needs."""
     mark: Mark | None = None
@@ -51,11 +50,11 @@ class Key:
 
     caption: str
     """What the bar measures."""
-    bar: NDArray[np.floating[Any]]
+    bar: Floats
     """(M, 3) colours, the lowest value first, as they go to the screen."""
     ticks: Mapping[float, str]
     """Labels by share of the bar's width."""
-    patches: Mapping[str, NDArray[np.floating[Any]]] = field(default_factory=dict)
+    patches: Mapping[str, Floats] = field(default_factory=dict)
     """Colours by label, for what is not on the bar."""
 
 
@@ -69,7 +68,7 @@ def sheet(
     title: str = "",
     labels: Sequence[str] = (),
     keys: Sequence[Key] = (),
-) -> NDArray[np.uint8]:
+) -> Codes:
     """Panels in a grid, captions above: (H, W, 3) uint8.
 
     All pictures are of one size. A row without any caption has no room for one; labels stand at the
@@ -182,17 +181,17 @@ def _draw_key(draw: ImageDraw.ImageDraw, key: Key, corner: tuple[int, int], lett
         x += round(font.getlength(label)) + 2 * MARGIN
 
 
-def _ink(color: NDArray[np.floating[Any]] | tuple[float, float, float]) -> tuple[int, int, int]:
+def _ink(color: Floats | tuple[float, float, float]) -> tuple[int, int, int]:
     red, green, blue = (int(255 * float(part) + 0.5) for part in color)
     return red, green, blue
 
 
-def displayed(linear: NDArray[np.floating[Any]], white: float = 1.0) -> NDArray[np.floating[Any]]:
+def displayed(linear: Floats, white: float = 1.0) -> Floats:
     """Linear radiance (H, W, 3) as it goes to the screen; NaN becomes grey."""
     return outside_grey(encoded(linear / white))
 
 
-def outside_grey(values: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+def outside_grey(values: Floats) -> Floats:
     """Values (H, W) or (H, W, 3) as (H, W, 3), grey where they are NaN."""
     if values.ndim == 2:
         values = np.repeat(values[..., None], 3, axis=-1)

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit.io.arrays import Codes, Floats
 from pbrfit.io.json_files import read_as, table
 from pbrfit.model.materials import Materials
 from pbrfit.result.held_out import HeldOut
@@ -146,7 +146,7 @@ def doubted(verdicts: Mapping[str, Verdict], cause: str, remedy: str) -> dict[st
     return found
 
 
-def levels(deviation: Materials) -> dict[str, NDArray[np.uint8]]:
+def levels(deviation: Materials) -> dict[str, Codes]:
     """For each pixel (H, W) the index in `LEVELS` that its own deviation alone would give its map.
 
     255 outside the mask.
@@ -160,7 +160,7 @@ def levels(deviation: Materials) -> dict[str, NDArray[np.uint8]]:
     return found
 
 
-def planes(deviations: Materials) -> dict[str, NDArray[np.floating[Any]]]:
+def planes(deviations: Materials) -> dict[str, Floats]:
     """(H, W) by name, in the order of `PARAMETERS`: of albedo the RMS over channels."""
     albedo = np.sqrt(np.mean(np.square(deviations.albedo), axis=-1))
     return dict(zip(PARAMETERS, (albedo, deviations.roughness, deviations.metallic), strict=True))

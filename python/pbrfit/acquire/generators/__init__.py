@@ -6,10 +6,8 @@ import importlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from pbrfit._core import InputError
+from pbrfit.io.arrays import Codes
 
 if TYPE_CHECKING:
     from pbrfit.acquire.photo import Photo
@@ -36,7 +34,7 @@ class Request:
 class Generated:
     """One picture that came."""
 
-    pixels: NDArray[np.uint8]
+    pixels: Codes
     """(H, W, 3) uint8, sRGB, of the photo's size, each pixel where the photo has it."""
     record: dict[str, Any]
     """How it was made, as JSON: model, revision, seed, steps, guidance, seconds, usage …"""

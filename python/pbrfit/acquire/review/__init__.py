@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.acquire.review import illumination, structure
+from pbrfit.io.arrays import Array, Mask
 from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.registration import alignment
 from pbrfit.registration.alignment import Alignment
@@ -127,7 +128,7 @@ class Reviewer:
     transparent. Raises InputError if the photograph has nothing to compare by: no edges at all.
     """
 
-    def __init__(self, photo: NDArray[Any], *, mask: NDArray[np.bool_] | None = None) -> None:
+    def __init__(self, photo: NDArray[Any], *, mask: Mask | None = None) -> None:
         self.shape = photo.shape
         size = reduced_size(photo.shape, alignment.SIDE)
         self._size = size
@@ -274,7 +275,7 @@ class Reviewer:
             )
         return _at_least("copy", known, LOG_CHANGE_MIN, note)
 
-    def _colour(self, residual: NDArray[np.float64], pictures: int) -> Check:
+    def _colour(self, residual: Array, pictures: int) -> Check:
         mixed = illumination.mixed(residual)
         most = float(mixed.max())
         note = (
@@ -283,13 +284,7 @@ class Reviewer:
         )
         return _at_most("colour", most, _bound(COLOUR_RESIDUAL_MAX, pictures), note)
 
-    def _content(
-        self,
-        kept: NDArray[np.float64],
-        brightness: NDArray[np.float64],
-        usual: float,
-        pictures: int,
-    ) -> Check:
+    def _content(self, kept: Array, brightness: Array, usual: float, pictures: int) -> Check:
         missing = np.nan_to_num(1.05 - kept).clip(0)
         changed = brightness / (BRIGHTNESS * usual) + DETAIL * missing
         place = np.unravel_index(changed.argmax(), changed.shape)
@@ -302,7 +297,7 @@ class Reviewer:
         bound = _bound(CHANGE_EVIDENCE_MAX, pictures)
         return _at_most("content", float(changed[place]), bound, note)
 
-    def _place(self, found: NDArray[np.float64]) -> str:
+    def _place(self, found: Array) -> str:
         """Where the largest value is, in words: pixels of the full picture."""
         row, column = np.unravel_index(found.argmax(), found.shape)
         x = (int(column) + 0.5) * self.shape[1] / found.shape[1]
@@ -320,7 +315,7 @@ class _Member:
 
     edges: alignment.Field
     gradients: structure.Gradients
-    low: NDArray[np.float64]
+    low: Array
     """(P, 3)."""
 
 

@@ -12,13 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import lobe_table
+from pbrfit.io.arrays import Array, Mask
 from pbrfit.model.geometry import view_directions
 from pbrfit.model.materials import Materials
 from pbrfit.report.html import in_base64
 from pbrfit.report.raster import reduced
 from pbrfit.result.result import Result
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -27,7 +26,7 @@ class Maps:
 
     materials: Materials
     normals: Array
-    mask: NDArray[np.bool_]
+    mask: Mask
     fov: float
     """As of a result."""
 
