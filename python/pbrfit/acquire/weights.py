@@ -72,7 +72,8 @@ def need(extra: str, *modules: str) -> None:
 
 def versions(*packages: str) -> dict[str, str]:
     """Versions of installed packages, for records of how something was made."""
-    return {name: metadata.version(name) for name in packages}
+    there = [name for name in packages if importlib.util.find_spec(name) is not None]
+    return {name: metadata.version(name) for name in there}
 
 
 def placement(
