@@ -52,7 +52,7 @@ class Picture:
     @property
     def accepted(self) -> bool:
         """Whether the last attempt was."""
-        return bool(self.attempts) and not self.attempts[-1].reason
+        return not self.attempts[-1].reason
 
     @property
     def reason(self) -> str:
@@ -110,10 +110,10 @@ class Rounds:
         What the generator itself refused would be refused again.
         """
         most = 1 + (self.regenerate if self.generator.retries else 0)
-        while len(picture.attempts) < most and not picture.accepted:
-            if picture.attempts and picture.attempts[-1].entry.refused:
+        for k in range(len(picture.attempts), most):
+            picture.attempts.append(self._attempt(picture.request, k))
+            if picture.accepted or picture.attempts[-1].entry.refused:
                 return
-            picture.attempts.append(self._attempt(picture.request, len(picture.attempts)))
 
     def _attempt(self, first: Request, k: int) -> Attempt:
         request = dataclasses.replace(first, seed=first.seed + k * RETRY_STEP)
@@ -129,10 +129,8 @@ class Rounds:
             entry = self.journal.keep(request, answer)
         else:
             self._tell(f"{request.name}, in the journal")
-        if entry.refused:
+        if entry.refused or self.reviewer is None:
             return Attempt(entry, reason=entry.refused)
-        if self.reviewer is None:
-            return Attempt(entry)
         verdict = self.reviewer.picture(LINEAR(self.journal.pixels(entry)))
         return Attempt(entry, verdict.checks, reason=verdict.reason)
 
