@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
 from pbrfit._core import InputError
+from pbrfit.io.arrays import Array
 from pbrfit.io.checks import finite, real_array
 from pbrfit.io.color import ColorSpace
 from pbrfit.lazy import lazy
@@ -26,7 +27,6 @@ from pbrfit.model.lighting import rotated
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import (
     DEFAULT_MODEL,
-    Array,
     Model,
     View,
     checked_model,
