@@ -27,9 +27,7 @@ def _unit(text: str) -> float:
 
 MARIGOLD: network.Flags = {
     **network.SHOWN,
-    "ensemble": cli.value(
-        "E", cli.positive, f"predictions that are averaged (default: {ENSEMBLE})"
-    ),
+    **network.ensemble("averaged"),
     **network.SAMPLER,
     **network.checkpoint(f"{DEPTH_MODEL}, or {MODEL}"),
     **network.DEVICE,

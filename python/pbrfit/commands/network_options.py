@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pbrfit._core import InputError
+from pbrfit.acquire.marigold import ENSEMBLE
 from pbrfit.acquire.photo import shown_to_network
 from pbrfit.acquire.weights import Device, Offload, Precision
 from pbrfit.commands.arguments import Flag, add_flags, choice, positive, value, whole_number
@@ -47,6 +48,12 @@ PRECISION: Flags = {
     "dtype": choice(Precision, "of its numbers (default: float16 on a GPU, else float32)"),
     "offload": choice(Offload, "what waits outside the GPU's memory (default: none)"),
 }
+
+
+def ensemble(how: str) -> Flags:
+    """How many predictions are made, and what becomes of them."""
+    said = f"predictions that are {how} (default: {ENSEMBLE})"
+    return {"ensemble": value("E", positive, said)}
 
 
 def checkpoint(default: str) -> Flags:

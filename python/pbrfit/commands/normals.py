@@ -29,12 +29,7 @@ from pbrfit.scene.scene import Scene
 FLAGS: dict[str, network.Flags] = {
     "marigold": {
         **network.SHOWN,
-        "ensemble": cli.value(
-            "E",
-            cli.positive,
-            "predictions that are averaged; from 3 on, what they differ by gives the weights "
-            f"(default: {ENSEMBLE})",
-        ),
+        **network.ensemble("averaged; from 3 on, what they differ by gives the weights"),
         **network.SAMPLER,
         **network.checkpoint(NORMALS_MODEL),
         **network.DEVICE,
