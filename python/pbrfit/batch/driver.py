@@ -16,6 +16,7 @@ from pbrfit.batch import heartbeat
 from pbrfit.batch.cluster import Cluster, threads_of_worker
 from pbrfit.batch.executors import Processes, Workers
 from pbrfit.errors import in_one_line
+from pbrfit.threads import one_blas_thread
 
 log = logging.getLogger("pbrfit")
 
@@ -162,8 +163,6 @@ def attempt(
     work: Callable[[T, int], R], task: T, threads: int | None, apart: bool, slot: int | None = None
 ) -> Attempt[R]:
     """Do a task where it runs; what it raises becomes a line. `slot` is of `heartbeat.Watch`."""
-    from pbrfit.threads import one_blas_thread
-
     if threads is None:
         threads = threads_of_worker()
     heartbeat.take(slot)

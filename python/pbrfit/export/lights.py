@@ -19,6 +19,7 @@ from pbrfit.io.quoting import cell
 from pbrfit.model import panorama
 from pbrfit.model.lighting import Lighting
 from pbrfit.result.result import Result
+from pbrfit.threads import one_blas_thread
 
 HEIGHT = 64
 """Rows of a panorama. Nothing in l ≤ 3 is finer than 20 of them; what linear interpolation between
@@ -45,9 +46,6 @@ class LightPanorama:
 
 def write_lights(folder: Path, result: Result) -> tuple[LightPanorama, ...]:
     """Write all of `FILES` and a panorama a light into an existing folder."""
-    # Imported here: what only writing needs takes long to import.
-    from pbrfit.threads import one_blas_thread
-
     lighting = Lighting(result.pictures, result.lighting, result.lamps)
     response = surface_response(result)
     lighting.save(folder / "lighting.json")
