@@ -12,7 +12,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from pbrfit.acquire.journal import ESCAPED, FOLDER, Journal
 from pbrfit.acquire.normals import DEPTH, Normals, estimate
 from pbrfit.acquire.photo import Photo, read_photo
 from pbrfit.acquire.prompts import Catalogue
+from pbrfit.acquire.review import Reviewer
 from pbrfit.acquire.rounds import REGENERATE, Progress, Rounds
 from pbrfit.acquire.scene_output import PHOTO, PICTURES, check_place, place
 from pbrfit.acquire.segments import segment
@@ -36,9 +37,6 @@ from pbrfit.io.weight_files import WEIGHT_FILE, write_weights
 from pbrfit.model import geometry
 from pbrfit.scene.arrays import FIRST_FOV
 from pbrfit.scene.reading import Surface
-
-if TYPE_CHECKING:
-    from pbrfit.acquire.review import Reviewer
 
 log = logging.getLogger("pbrfit")
 
@@ -127,8 +125,6 @@ def generate(
         if not review:
             reviewer = None
         elif reviewer is None:
-            from pbrfit.acquire.review import Reviewer
-
             reviewer = Reviewer(photo.pixels * np.float32(2.0**photo.exposure), mask=photo.mask)
         told("segments, normals and depth", 0, len(requests))
         parts: tuple[NDArray[np.uint16], dict[str, Any]] | None = None

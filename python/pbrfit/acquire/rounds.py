@@ -12,15 +12,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 from pbrfit.acquire.generators import RETRY_STEP, Generated, Generator, Refused, Request
 from pbrfit.acquire.journal import Entry, Journal
 from pbrfit.acquire.photo import Photo
+from pbrfit.acquire.review import Check, Reviewer
 from pbrfit.io.color import Conversion
-
-if TYPE_CHECKING:
-    from pbrfit.acquire.review import Check, Reviewer
 
 LINEAR = Conversion("srgb")
 """Gives the linear light of received pictures."""

@@ -20,7 +20,6 @@ With M = S Sᵀ and μ = S ν that is the minimum of a convex function of 16 unk
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,9 +28,7 @@ from pbrfit.io.arrays import Array
 from pbrfit.model import panorama
 from pbrfit.model.geometry import view_directions
 from pbrfit.model.reflection import sh_basis, shade
-
-if TYPE_CHECKING:
-    from pbrfit.result.result import Result
+from pbrfit.result.result import Result
 
 PIXELS = 4096
 """Number of pixels that stand for all in M, whose 136 numbers need no more."""

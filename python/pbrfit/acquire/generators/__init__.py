@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import importlib
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 from pbrfit._core import InputError
+from pbrfit.acquire.photo import Photo
+from pbrfit.acquire.prompts import Catalogue
 from pbrfit.io.arrays import Codes
-
-if TYPE_CHECKING:
-    from pbrfit.acquire.photo import Photo
-    from pbrfit.acquire.prompts import Catalogue
 
 RETRY_STEP = 1000
 """Between the seeds of a request's attempts; so many requests have seeds of their own."""
