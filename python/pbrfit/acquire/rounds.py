@@ -9,9 +9,8 @@ same attempts again and finds them in the journal.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from pbrfit.acquire.generators import RETRY_STEP, Generated, Generator, Refused, Request
 from pbrfit.acquire.journal import Entry, Journal
@@ -91,7 +90,7 @@ class Rounds:
             entries = (picture.attempts[-1].entry for picture in accepted)
             verdicts = self.reviewer.together([LINEAR(self.journal.pixels(e)) for e in entries])
             for picture, verdict in zip(accepted, verdicts, strict=True):
-                picture.attempts[-1] = dataclasses.replace(
+                picture.attempts[-1] = replace(
                     picture.attempts[-1], together=verdict.checks, reason=verdict.reason
                 )
             refused = [picture for picture in accepted if not picture.accepted]
@@ -113,7 +112,7 @@ class Rounds:
                 return
 
     def _attempt(self, first: Request, k: int) -> Attempt:
-        request = dataclasses.replace(first, seed=first.seed + k * RETRY_STEP)
+        request = replace(first, seed=first.seed + k * RETRY_STEP)
         self.asked += 1
         entry = self.journal.find(request)
         if entry is None:
