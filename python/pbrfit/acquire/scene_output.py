@@ -18,7 +18,7 @@ from pathlib import Path
 from pbrfit._core import InputError
 from pbrfit.acquire import journal
 from pbrfit.acquire.photo import Photo
-from pbrfit.io.output import making, naming, undisturbed, unfinished
+from pbrfit.io.output import FolderForm, making, naming, undisturbed, unfinished
 
 PICTURES = "images"
 
@@ -43,9 +43,6 @@ _TEMPORARY = ".pbrfit-generate-"
 """What the folder's name starts with that a run works in; one that was killed leaves it."""
 
 _LEFT = re.compile(rf"{re.escape(_TEMPORARY)}[0-9a-f]{{12}}")
-
-_OF_SYSTEMS = (".db", ".ini")
-"""Files that Windows puts beside pictures."""
 
 
 def check_place(
@@ -82,11 +79,9 @@ def check_place(
             f"{out}: expected a folder that does not exist yet, found {there}; --resume goes on "
             "with it, --overwrite makes it anew from what the journal holds and what it lacks"
         )
-    pictures = sorted((out / PICTURES).iterdir()) if (out / PICTURES).is_dir() else []
-    made = {f"{name}.png" for name in (PHOTO, *(journal.names(folder) if pictures else ()))}
-    for path in pictures:
-        of_a_system = path.name.startswith(".") or path.suffix.lower() in _OF_SYSTEMS
-        if path.name not in made and not of_a_system:
+    if (out / PICTURES).is_dir():
+        made = [f"{name}.png" for name in (PHOTO, *journal.names(folder))]
+        for path in FolderForm(listed=lambda _: made).foreign(out / PICTURES):
             raise FileExistsError(
                 f"{path}: expected only pictures that `pbrfit generate` put there, because all are "
                 "replaced, found another; move it away first"
