@@ -26,7 +26,7 @@ from pbrfit.acquire.normals import DEPTH, Normals, estimate
 from pbrfit.acquire.photo import Photo, read_photo
 from pbrfit.acquire.prompts import Catalogue
 from pbrfit.acquire.review import Reviewer
-from pbrfit.acquire.rounds import REGENERATE, Progress, Rounds
+from pbrfit.acquire.rounds import REGENERATE, Progress, make_pictures
 from pbrfit.acquire.scene_output import PHOTO, PICTURES, check_place, place
 from pbrfit.acquire.segments import segment
 from pbrfit.io import images
@@ -141,8 +141,9 @@ def generate(
                 relief = depths.estimate(relief_from, seen, known, fuse=True, **options)
         journal.begin()
         with _kept(journal, out):
-            rounds = Rounds(photo, generator, journal, reviewer, regenerate, told)
-            pictures = rounds.make(requests)
+            pictures = make_pictures(
+                requests, photo, generator, journal, reviewer, regenerate, told
+            )
         report = GenerationReport(
             out=out,
             photo=photo,
@@ -158,7 +159,8 @@ def generate(
                 "depth": None if relief is None else relief.record | {"remarks": relief.remarks},
             },
         )
-        told("writing", rounds.asked, rounds.asked)
+        asked = sum(len(picture.attempts) for picture in pictures)
+        told("writing", asked, asked)
         write_json(made / FILE, report.as_json(), ESCAPED)
         images.write_png(made / SHEET, report.sheet(journal), tag="srgb")
         enough = len(report.accepted) + with_photo >= PICTURES_MIN
