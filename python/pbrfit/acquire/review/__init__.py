@@ -34,7 +34,6 @@ from pbrfit.acquire.review import illumination, structure
 from pbrfit.io.arrays import Array, Mask
 from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.registration import alignment
-from pbrfit.registration.alignment import Alignment
 from pbrfit.threads import one_blas_thread
 
 USABLE_SHARE_MIN = 0.2
@@ -173,7 +172,7 @@ class Reviewer:
         if len(small) < illumination.FEWEST:
             return verdicts
         photo, *members = (
-            _Member(
+            (
                 alignment.edges(picture, self._mask),
                 structure.gradients(picture, self._mask),
                 averaged_channels(picture, self._low).reshape(-1, 3),
@@ -203,9 +202,9 @@ class Reviewer:
 
     def _judge(self, members: Sequence[_Member], first: int = 1) -> list[Verdict]:
         """Verdicts on the members from `first` on; member 0 is the photograph."""
-        others = alignment.of_the_others([member.edges for member in members])
-        lasting = structure.lasting([member.gradients for member in members])
-        low = np.stack([member.low for member in members])
+        edges, gradients, small = zip(*members, strict=True)
+        others, lasting = alignment.of_the_others(edges), structure.lasting(gradients)
+        low = np.stack(small)
         used = illumination.usable(low)
         if self._mask is not None:
             used &= averaged(self._mask.astype(np.float64), self._low).ravel() > 0.999
@@ -217,14 +216,14 @@ class Reviewer:
         usual = max(float(np.median([found.max() for found in brightness])), BRIGHTNESS_MIN)
         verdicts = []
         for i in range(first, len(members)):
-            found = alignment.compare(others[i], members[i].edges, pixel=self._pixel)
+            found = alignment.compare(others[i], edges[i], pixel=self._pixel)
             aligned = _aligned(
                 found,
                 "what the others share",
                 EDGE_CORRELATION_TOGETHER_MIN,
                 DISPLACED_SHARE_TOGETHER_MAX,
             )
-            kept = structure.kept(members[i].gradients, lasting, self._low)
+            kept = structure.kept(gradients[i], lasting, self._low)
             content = self._content(kept, brightness[i - 1], usual, len(members))
             colour = self._colour(residuals[i - 1], len(members))
             verdicts.append(Verdict((*aligned, colour, content)))
@@ -309,18 +308,12 @@ def _bound(parts: tuple[float, float], pictures: int) -> float:
     return parts[0] + parts[1] / min(pictures, PICTURES_COUNTED_MAX)
 
 
-@dataclass(frozen=True, eq=False)
-class _Member:
-    """What is compared of a picture."""
-
-    edges: alignment.Field
-    gradients: structure.Gradients
-    low: Array
-    """(P, 3)."""
+_Member = tuple[alignment.Field, structure.Gradients, Array]
+"""What is compared of a picture: edges, gradients, and the picture (P, 3) at low resolution."""
 
 
 def _aligned(
-    found: Alignment | None, reference: str, least_agreement: float, most_moved: float
+    found: alignment.Alignment | None, reference: str, least_agreement: float, most_moved: float
 ) -> tuple[Check, ...]:
     if found is None:
         return (Check("edges", 0.0, least_agreement, False, "no edges to compare by"),)
