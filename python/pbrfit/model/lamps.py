@@ -21,11 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.io.arrays import Array, Mask
 from pbrfit.io.checks import reals
 from pbrfit.io.json_files import as_json
 from pbrfit.io.lamp_files import LampRow
-
-Array = NDArray[np.float64]
 
 UNIT = 1e-5
 """Largest difference of a direction's length from 1."""
@@ -41,7 +40,7 @@ class Lamps:
     """(K, 3), camera space (X right, Y up, Z towards the viewer): of far lamps the unit vector from
     the scene to the lamp; of near ones where they are, in the unit of the scene's depth, the camera
     at 0."""
-    near: NDArray[np.bool_] = field(default=None)  # type: ignore[arg-type]
+    near: Mask = field(default=None)  # type: ignore[arg-type]
     """(K,) bool."""
     colors: Array = field(default=None)  # type: ignore[arg-type]
     """(K, 3), linear Rec.709, 0 or more: radiance of a white diffuse surface that faces the lamp,

@@ -13,13 +13,13 @@ from __future__ import annotations
 
 import logging
 import os
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io import images
+from pbrfit.io.arrays import Array, Floats
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.limits import AT_LEAST
 from pbrfit.model.lighting import BAND_OF
@@ -38,7 +38,7 @@ NEGATIVE_MAX = 1 / 255
 """Share of a panorama's light that may be negative, and is taken for 0: a code of 8 bits."""
 
 
-def directions(height: int, width: int, rows: slice = slice(None)) -> NDArray[np.float64]:
+def directions(height: int, width: int, rows: slice = slice(None)) -> Array:
     """Where the light of each pixel, in some rows, comes from: (h, width, 3) unit vectors."""
     around = 2 * np.pi * ((np.arange(width) + 0.5) / width - 0.5)
     up = np.pi * (0.5 - (np.arange(height)[rows] + 0.5) / height)[:, None]
@@ -48,7 +48,7 @@ def directions(height: int, width: int, rows: slice = slice(None)) -> NDArray[np
     )
 
 
-def solid_angles(height: int, width: int) -> NDArray[np.float64]:
+def solid_angles(height: int, width: int) -> Array:
     """Solid angle that a pixel of each row stands for, in steradians: (height,).
 
     All pixels together have 4π. These are the weights of Fejér's first rule, whose nodes are the
@@ -127,7 +127,7 @@ def read(
     return pixels
 
 
-def project(pixels: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+def project(pixels: Floats) -> Array:
     """SH light (16, 3) that comes nearest to a panorama: L_k = ∫ E Y_k dω.
 
     Pixels are (H, W, 3), linear Rec.709 radiance.
@@ -144,7 +144,7 @@ def project(pixels: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
     return light
 
 
-def radiance(coefficients: ArrayLike, height: int) -> NDArray[np.float64]:
+def radiance(coefficients: ArrayLike, height: int) -> Array:
     """An SH light (16, 3) as a panorama (height, 2 height, 3); it may be negative in places."""
     return np.asarray(sh_basis(directions(height, 2 * height)) @ np.asarray(coefficients))
 
@@ -158,7 +158,7 @@ DARKEST_HEIGHT = 64
 """Rows of the panorama that negative light is looked for in; l = 3 has no detail finer than 20."""
 
 
-def nonnegative(coefficients: ArrayLike) -> NDArray[np.float64]:
+def nonnegative(coefficients: ArrayLike) -> Array:
     """SH light (16, 3) damped until it is nowhere negative; the mean light stays.
 
     A lamp cut off at l = 3 is surrounded by rings, negative ones among them. Band l is divided by
@@ -170,7 +170,7 @@ def nonnegative(coefficients: ArrayLike) -> NDArray[np.float64]:
     light = np.asarray(coefficients, dtype=np.float64)
     bands = (BAND_OF * (BAND_OF + 1.0)) ** 2
 
-    def damped(strength: float) -> NDArray[np.float64]:
+    def damped(strength: float) -> Array:
         return np.asarray(light / (1 + strength * bands)[:, None])
 
     mean = light[0].max(initial=0.0)
