@@ -26,7 +26,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.arrays import Floats, Mask
 from pbrfit.io.resampling import averaged_where, reduced_size
 
 Field = NDArray[np.complex64]
@@ -73,7 +72,7 @@ class Alignment:
     """Pixels of the picture per pixel that was compared: errors are about 0.2 of it."""
 
 
-def gradient(values: Floats) -> NDArray[np.complexfloating[Any]]:
+def gradient(values: NDArray[np.floating[Any]]) -> NDArray[np.complexfloating[Any]]:
     """Central differences of (H, W, ...), right + i down; 0 where the border cuts them off."""
     found = np.zeros(values.shape, np.result_type(values, np.complex64))
     found[:, 1:-1] = (values[:, 2:] - values[:, :-2]) / 2
@@ -81,7 +80,7 @@ def gradient(values: Floats) -> NDArray[np.complexfloating[Any]]:
     return found
 
 
-def edges(image: NDArray[Any], mask: Mask | None = None) -> Field:
+def edges(image: NDArray[Any], mask: NDArray[np.bool_] | None = None) -> Field:
     """Field of edges of a picture, at most `SIDE` pixels long.
 
     The image is (H, W, 3) linear radiance in any unit, the mask (H, W) False where there is no
