@@ -54,7 +54,6 @@ def test_rooms_keep_their_promises(kind: str) -> None:
         world = draw(kind, np.random.default_rng(seed))
         view = world.cast(32)
         m = view.materials
-        assert view.mask is None
         np.testing.assert_allclose(np.linalg.norm(view.normals, axis=-1), 1.0, rtol=1e-14)
         assert (np.sum(views * view.normals, axis=-1) > 0.0).all()
         assert world.walls == 6

@@ -12,7 +12,6 @@ exposure are the same in all pictures, so M holds for each, and lights keep thei
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
@@ -20,11 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.io.arrays import Array
 from pbrfit.io.color import ICC_D50, colorants_to_rec709, encode_srgb
 from pbrfit.io.images import Picture
 from pbrfit.io.quoting import listed
-
-Array = NDArray[np.float64]
 
 PATCHES = {
     "dark skin": (37.54, 14.37, 14.92),
@@ -67,22 +65,13 @@ SAMPLED = 0.5
 """Share of a patch's side around its middle that is looked at: corners may be off by a quarter."""
 
 
-@dataclass(frozen=True, eq=False)
-class Chart:
-    """What a picture of a ColorChecker says."""
+def read_chart(path: Path, picture: Picture, corners: Array | None) -> tuple[Array, str]:
+    """The matrix (3, 3) that a picture of a ColorChecker tells, and how well it explains patches.
 
-    matrix: Array
-    """(3, 3), from linear Rec.709 as the picture's file says it to that of the chart."""
-    said: str
-    """How well it explains the patches, a clause."""
-
-
-def read_chart(path: Path, picture: Picture, corners: Array | None) -> Chart:
-    """The matrix that a picture of a ColorChecker tells.
-
-    `corners` (4, 2) are x and y in pixels of the outer corners of dark skin, bluish green, black
-    and white, where somebody gave them; else the chart is sought (pbrfit[chart]). Raises InputError
-    if there is no chart, or patches are clipped.
+    It leads from linear Rec.709 as the picture's file says it to that of the chart. `corners`
+    (4, 2) are x and y in pixels of the outer corners of dark skin, bluish green, black and white,
+    where somebody gave them; else the chart is sought (pbrfit[chart]). Raises InputError if there
+    is no chart, or patches are clipped.
     """
     places = _sought(path, picture) if corners is None else corners
     rows, columns = _samples(places)
@@ -111,7 +100,7 @@ def read_chart(path: Path, picture: Picture, corners: Array | None) -> Chart:
     before = patches * (true[GREYS][0].mean() / patches[GREYS][0].mean())  # exposure alone
     off = [np.linalg.norm(_to_lab(of) - lab, axis=1).mean() for of in (before, patches @ matrix.T)]
     said = f"a ColorChecker, mean colour difference {off[1]:.1f} (CIE 1976; {off[0]:.1f} without)"
-    return Chart(matrix, said)
+    return matrix, said
 
 
 def _samples(corners: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

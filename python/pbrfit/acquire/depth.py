@@ -14,6 +14,7 @@ from pbrfit._core import InputError
 from pbrfit.acquire import marigold, weights
 from pbrfit.acquire.normals import check_reducible
 from pbrfit.acquire.padding import resized
+from pbrfit.io.arrays import Array, Codes, Floats
 from pbrfit.io.depth_files import read_depth
 from pbrfit.model import geometry
 from pbrfit.model.depth_normals import DepthKind
@@ -53,7 +54,7 @@ class Depth:
 
 def estimate(
     source: str,
-    srgb8: NDArray[np.uint8],
+    srgb8: Codes,
     surface: Surface,
     *,
     depth_kind: DepthKind = "z",
@@ -119,7 +120,7 @@ def estimate(
     return Depth(found, tuple(remarks), {"source": source, **more})
 
 
-def _normals(surface: Surface, what: str) -> NDArray[np.float64]:
+def _normals(surface: Surface, what: str) -> Array:
     if surface.normals is None:
         raise InputError(
             f"{what}: expected a scene with normals, found none; `pbrfit normals` makes them"
@@ -151,11 +152,7 @@ def _of_file(
 
 
 def with_offset(
-    relative: NDArray[np.floating[Any]],
-    normals: NDArray[np.float64],
-    fov: float,
-    *,
-    disparity: bool = False,
+    relative: Floats, normals: Array, fov: float, *, disparity: bool = False
 ) -> tuple[NDArray[np.float32], str]:
     """Depth (H, W) with the offset by which its normals are nearest to given ones (H, W, 3).
 
@@ -183,7 +180,7 @@ def with_offset(
     if not span > 0:
         raise InputError("relative depth: expected different depths, found all equal")
 
-    def distances(of: NDArray[np.float64], log_ratio: float) -> NDArray[np.float64]:
+    def distances(of: Array, log_ratio: float) -> Array:
         moved = of - low + span * np.exp(log_ratio)
         return np.asarray(1.0 / moved if disparity else moved)
 
@@ -211,8 +208,8 @@ def with_offset(
 
 
 def by_depth_anything(
-    srgb8: NDArray[np.uint8], *, model: str = MODEL, device: str = "auto"
-) -> tuple[NDArray[np.float64], bool, dict[str, Any]]:
+    srgb8: Codes, *, model: str = MODEL, device: str = "auto"
+) -> tuple[Array, bool, dict[str, Any]]:
     """Estimate depth of one picture (H, W, 3), sRGB, by Depth Anything V2 (Yang et al. 2024).
 
     Its metric checkpoints give distances along the axis, its others inverse depth up to a factor

@@ -12,7 +12,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +25,10 @@ from pbrfit.acquire.journal import ESCAPED, FOLDER, Journal
 from pbrfit.acquire.normals import DEPTH, Normals, estimate
 from pbrfit.acquire.photo import Photo, read_photo
 from pbrfit.acquire.prompts import Catalogue
-from pbrfit.acquire.rounds import REGENERATE, Progress, Rounds
+from pbrfit.acquire.review import Reviewer
+from pbrfit.acquire.rounds import REGENERATE, Progress, make_pictures
 from pbrfit.acquire.scene_output import PHOTO, PICTURES, check_place, place
+from pbrfit.acquire.segments import segment
 from pbrfit.io import images
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.json_files import write_json
@@ -35,9 +37,6 @@ from pbrfit.io.weight_files import WEIGHT_FILE, write_weights
 from pbrfit.model import geometry
 from pbrfit.scene.arrays import FIRST_FOV
 from pbrfit.scene.reading import Surface
-
-if TYPE_CHECKING:
-    from pbrfit.acquire.review import Reviewer
 
 log = logging.getLogger("pbrfit")
 
@@ -126,17 +125,25 @@ def generate(
         if not review:
             reviewer = None
         elif reviewer is None:
-            from pbrfit.acquire.review import Reviewer
-
             reviewer = Reviewer(photo.pixels * np.float32(2.0**photo.exposure), mask=photo.mask)
         told("segments, normals and depth", 0, len(requests))
-        parts = _segments(photo, segments, device)
-        surface = _normals(photo, normals, view, device)
-        relief = _depth(photo, relief_from, view, surface, parts, device)
+        parts: tuple[NDArray[np.uint16], dict[str, Any]] | None = None
+        relief: depths.Depth | None = None
+        seen = photo.srgb8()
+        if segments != "none":
+            with _or_instead("segments", segments, "none or FILE", device) as options:
+                parts = segment(segments, seen, **options)
+        with _or_instead("normals", normals, "flat, depth:FILE or FILE", device) as options:
+            surface = estimate(normals, seen, fov=view, mask=photo.mask, **options)
+        if relief_from != "none":
+            known = _known_surface(photo, view, surface, None if parts is None else parts[0])
+            with _or_instead("depth", relief_from, "none, normals or FILE", device) as options:
+                relief = depths.estimate(relief_from, seen, known, fuse=True, **options)
         journal.begin()
         with _kept(journal, out):
-            rounds = Rounds(photo, generator, journal, reviewer, regenerate, told)
-            pictures = rounds.make(requests)
+            pictures = make_pictures(
+                requests, photo, generator, journal, reviewer, regenerate, told
+            )
         report = GenerationReport(
             out=out,
             photo=photo,
@@ -152,7 +159,8 @@ def generate(
                 "depth": None if relief is None else relief.record | {"remarks": relief.remarks},
             },
         )
-        told("writing", rounds.asked, rounds.asked)
+        asked = sum(len(picture.attempts) for picture in pictures)
+        told("writing", asked, asked)
         write_json(made / FILE, report.as_json(), ESCAPED)
         images.write_png(made / SHEET, report.sheet(journal), tag="srgb")
         enough = len(report.accepted) + with_photo >= PICTURES_MIN
@@ -212,31 +220,18 @@ def _field_of_view(photo: Photo, asked: float | None) -> tuple[float, dict[str, 
     return FIRST_FOV, {"fov": f"{FIRST_FOV:g} degrees: neither --fov nor EXIF says"}
 
 
-Segments = tuple[NDArray[np.uint16], dict[str, Any]]
+def depth_source(asked: str | None, normals: str, fov: float | None) -> str:
+    """Where depth comes from.
 
-
-def _segments(photo: Photo, source: str, device: str) -> Segments | None:
-    if source == "none":
-        return None
-    from pbrfit.acquire.segments import segment
-
-    with _or_instead("segments", source, "none or FILE", device) as options:
-        return segment(source, photo.srgb8(), **options)
-
-
-def _normals(photo: Photo, source: str, fov: float, device: str) -> Normals:
-    if source.startswith(DEPTH) and fov == 0:
+    Raises InputError for depth that is asked for without normals, and normals of a depth map that
+    an orthographic camera does not tell.
+    """
+    if normals.startswith(DEPTH) and fov == 0:
         raise InputError(
-            f"normals: expected a field of view above 0 for {source}, found an orthographic one: "
-            f"take flat ones first, and then `pbrfit normals SCENE --from {source} --view-width "
+            f"normals: expected a field of view above 0 for {normals}, found an orthographic one: "
+            f"take flat ones first, and then `pbrfit normals SCENE --from {normals} --view-width "
             "WIDTH --overwrite`"
         )
-    with _or_instead("normals", source, "flat, depth:FILE or FILE", device) as options:
-        return estimate(source, photo.srgb8(), fov=fov, mask=photo.mask, **options)
-
-
-def depth_source(asked: str | None, normals: str, fov: float | None) -> str:
-    """Where depth comes from; raises InputError for depth that is asked for without normals."""
     if asked is None:
         if normals.startswith(DEPTH):
             return normals.removeprefix(DEPTH)
@@ -246,21 +241,17 @@ def depth_source(asked: str | None, normals: str, fov: float | None) -> str:
     return asked
 
 
-def _depth(
-    photo: Photo, source: str, fov: float, of: Normals, segments: Segments | None, device: str
-) -> depths.Depth | None:
-    if source == "none":
-        return None
-    known = np.ones(photo.size, bool) if of.known is None else of.known
-    surface = Surface(
+def _known_surface(
+    photo: Photo, fov: float, of: Normals, segments: NDArray[np.uint16] | None
+) -> Surface:
+    every = np.ones(photo.size, bool)
+    return Surface(
         size=photo.size,
         fov=fov,
-        normals=np.where(known[..., None], of.normals, np.nan),
-        mask=np.ones(photo.size, bool) if photo.mask is None else photo.mask,
-        segments=None if segments is None else segments[0],
+        normals=np.where((every if of.known is None else of.known)[..., None], of.normals, np.nan),
+        mask=every if photo.mask is None else photo.mask,
+        segments=segments,
     )
-    with _or_instead("depth", source, "none, normals or FILE", device) as options:
-        return depths.estimate(source, photo.srgb8(), surface, fuse=True, **options)
 
 
 @contextmanager

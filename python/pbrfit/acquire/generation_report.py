@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit.acquire.journal import FOLDER, Journal
 from pbrfit.acquire.photo import Photo
 from pbrfit.acquire.rounds import Attempt, Picture
+from pbrfit.io.arrays import Codes, Floats
 from pbrfit.io.json_files import as_json
 from pbrfit.result.sheet import OUTSIDE, Panel, sheet
 
@@ -84,7 +84,7 @@ class GenerationReport:
             },
         }
 
-    def sheet(self, journal: Journal) -> NDArray[np.uint8]:
+    def sheet(self, journal: Journal) -> Codes:
         """Draw `review.png`, (H, W, 3)."""
         shown = []
         for picture in self.pictures:
@@ -112,9 +112,7 @@ class GenerationReport:
         return [attempt.entry.record for picture in self.pictures for attempt in picture.attempts]
 
 
-def contact_sheet(
-    photo: NDArray[np.floating[Any]], pictures: Sequence[Panel], *, title: str
-) -> NDArray[np.uint8]:
+def contact_sheet(photo: Floats, pictures: Sequence[Panel], *, title: str) -> Codes:
     """The photo, then accepted pictures, then a part of its own for those that were refused.
 
     All as they go to the screen; pictures that were refused have a note that says why. Returns

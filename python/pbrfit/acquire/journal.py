@@ -7,23 +7,20 @@ what it speaks of is there. Nothing in this folder is ever deleted or written ov
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import itertools
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.acquire.generators import Generated, Refused, Request
 from pbrfit.acquire.padding import read_srgb8
 from pbrfit.acquire.photo import Photo
 from pbrfit.io import images
+from pbrfit.io.arrays import Codes
 from pbrfit.io.input_files import PICTURE_BYTES, read_bytes
 from pbrfit.io.json_files import UNFIT, read_as, read_json, table, whole, words, write_json
 from pbrfit.io.output import new_file
@@ -67,9 +64,7 @@ class Journal:
         self.folder = folder
         self._photo = photo
         self._about = about(photo, settings)
-        self._entries = {
-            _key(entry.request): entry for run, entry in _read(folder) if run == self._about
-        }
+        self._entries = {entry.request: entry for run, entry in _read(folder) if run == self._about}
 
     def __len__(self) -> int:
         return len(self._entries)
@@ -82,22 +77,26 @@ class Journal:
 
     def find(self, request: Request) -> Entry | None:
         """What came of an equal request, if it was made."""
-        return self._entries.get(_key(request))
+        return self._entries.get(request)
 
-    def keep(self, request: Request, generated: Generated) -> Entry:
-        """Write down a picture."""
+    def keep(self, request: Request, answer: Generated | Refused) -> Entry:
+        """Write down a picture, or that there will be none."""
         stem = self._free(request)
-        png = images.encode_png(generated.pixels, tag="srgb")
-        with new_file(self.folder / f"{stem}.png") as path:
-            path.write_bytes(png)
-        digest = hashlib.sha256(png).hexdigest()
-        return self._add(Entry(stem, request, "", generated.record, digest))
+        if isinstance(answer, Refused):
+            entry = Entry(stem, request, str(answer), {}, None)
+        else:
+            png = images.encode_png(answer.pixels, tag="srgb")
+            with new_file(self.folder / f"{stem}.png") as path:
+                path.write_bytes(png)
+            entry = Entry(stem, request, "", answer.record, hashlib.sha256(png).hexdigest())
+        content = {"about": self._about, **asdict(entry)}
+        del content["stem"]
+        with new_file(self.folder / f"{stem}.json") as path:
+            write_json(path, content, ESCAPED)
+        self._entries[request] = entry
+        return entry
 
-    def refuse(self, request: Request, refusal: Refused) -> Entry:
-        """Write down that there will be none."""
-        return self._add(Entry(self._free(request), request, str(refusal), {}, None))
-
-    def pixels(self, entry: Entry) -> NDArray[np.uint8]:
+    def pixels(self, entry: Entry) -> Codes:
         """Picture of an entry, (H, W, 3) sRGB.
 
         Raises InputError if the file is not the one that was received.
@@ -112,14 +111,6 @@ class Journal:
             )
         return read_srgb8(data)
 
-    def _add(self, entry: Entry) -> Entry:
-        content = {"about": self._about, **dataclasses.asdict(entry)}
-        del content["stem"]
-        with new_file(self.folder / f"{entry.stem}.json") as path:
-            write_json(path, content, ESCAPED)
-        self._entries[_key(entry.request)] = entry
-        return entry
-
     def _free(self, request: Request) -> str:
         """NAME-SEED, or NAME-SEED-2 and so on where that was of another prompt or photo."""
         stem = f"{request.name}-{request.seed}"
@@ -130,7 +121,7 @@ class Journal:
 
 def about(photo: Photo, settings: dict[str, Any]) -> dict[str, Any]:
     """What decides about all pictures of a run: the photo as it is shown to the model, settings."""
-    height, width = photo.pixels.shape[:2]
+    height, width = photo.size
     shown = hashlib.sha256(photo.srgb8().tobytes()).hexdigest()
     return {
         "photo": {"sha256": photo.sha256, "size": [width, height], "pixels_sha256": shown},
@@ -165,10 +156,6 @@ def differences(folder: Path, photo: Photo, settings: dict[str, Any]) -> list[st
         ]
     except UNFIT:
         raise _strange(path) from None
-
-
-def _key(request: Request) -> tuple[str, str, str, int]:
-    return request.name, request.prompt, request.negative, request.seed
 
 
 def names(folder: Path) -> set[str]:

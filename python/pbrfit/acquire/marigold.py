@@ -21,12 +21,12 @@ from functools import partial
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from pbrfit._core import InputError
 from pbrfit.acquire import weights
 from pbrfit.acquire.padding import resized, resized_srgb8
+from pbrfit.io.arrays import Array, Codes
 from pbrfit.io.color import decode_srgb
 from pbrfit.model.depth_normals import FACING
 from pbrfit.model.materials import Materials
@@ -40,11 +40,9 @@ ENSEMBLE = 5
 UNCERTAINTY_ENSEMBLE_MIN = 3
 """Predictions below which their spread is not worth using."""
 
-Array = NDArray[np.float64]
-
 
 def normals_of(
-    srgb8: NDArray[np.uint8], *, model: str = NORMALS_MODEL, **options: Any
+    srgb8: Codes, *, model: str = NORMALS_MODEL, **options: Any
 ) -> tuple[Array, Array | None, dict[str, Any]]:
     """Estimate normals of one picture.
 
@@ -92,7 +90,7 @@ def mean_and_spread(members: Sequence[Array]) -> tuple[Array, Array]:
 
 
 def depth_of(
-    srgb8: NDArray[np.uint8], *, model: str = DEPTH_MODEL, **options: Any
+    srgb8: Codes, *, model: str = DEPTH_MODEL, **options: Any
 ) -> tuple[Array, dict[str, Any]]:
     """Estimate relative depth of one picture (H, W, 3), sRGB.
 
@@ -116,7 +114,7 @@ def aligned_mean(members: Sequence[Array]) -> Array:
 
 
 def predictions(
-    srgb8: NDArray[np.uint8],
+    srgb8: Codes,
     kind: Literal["Depth", "Normals"],
     *,
     model: str,
@@ -176,9 +174,7 @@ class MarigoldIID:
         self._network = loaded.network
         self._targets = targets(model, self._network.target_properties)
 
-    def maps(
-        self, srgb8: NDArray[np.uint8], *, seed: int, samples: int, steps: int | None
-    ) -> Materials:
+    def maps(self, srgb8: Codes, *, seed: int, samples: int, steps: int | None) -> Materials:
         """Maps of a picture (H, W, 3): the median of `samples` predictions, by the pipeline.
 
         `seed` is of the noise it starts from, `steps` of the sampler; None = as the model
@@ -237,7 +233,7 @@ def _pipeline(
     return loaded, where
 
 
-def _seen(srgb8: NDArray[np.uint8], resolution: int) -> Image.Image:
+def _seen(srgb8: Codes, resolution: int) -> Image.Image:
     """A picture (H, W, 3) as the network is shown it, of a longer side of `resolution` pixels."""
     height, width = srgb8.shape[:2]
     return Image.fromarray(resized_srgb8(srgb8, seen_size((height, width), resolution)))

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.acquire import marigold
+from pbrfit.io.arrays import Array, Codes, Mask
 from pbrfit.io.depth_files import read_depth
 from pbrfit.io.normal_files import MIN_NORMAL_LENGTH, Convention, read_normals
 from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
@@ -25,13 +26,10 @@ from pbrfit.scene.depth import without_holes
 
 log = logging.getLogger("pbrfit")
 
-Array = NDArray[np.float64]
-
 DEPTH = "depth:"
 
 HALF_WEIGHT = 5.0
-"""Degrees of uncertainty at which a pixel counts half; `weights_of` says why."""
-
+"""Degrees of uncertainty at which a pixel counts half; `Normals.weights` says why."""
 
 BEHIND_SHARE_MAX = 0.01
 """Share of the pixels of a tangent-space map above which normals that point behind its surface say
@@ -45,30 +43,45 @@ DIFFERENT_DEPTHS_MIN = 1024
 class Normals:
     """Normals of a picture, and how they came about."""
 
-    normals: NDArray[np.float64]
+    normals: Array
     """(H, W, 3) unit vectors in camera space: X right, Y up, Z to the viewer."""
-    uncertainty: NDArray[np.float64] | None = None
+    uncertainty: Array | None = None
     """(H, W), degrees: how far single answers of an ensemble are off; None if nothing is known."""
     record: dict[str, Any] = field(default_factory=dict)
     """As JSON: ``source``, and what decided about the answer."""
-    known: NDArray[np.bool_] | None = None
+    known: Mask | None = None
     """(H, W), where the source has a normal; elsewhere it faces the viewer. None = everywhere."""
     remarks: tuple[str, ...] = ()
     """How a file was read, where that is not as its kind suggests."""
 
     @property
     def weights(self) -> NDArray[np.float32] | None:
-        """(H, W): how much the pixels should count; None if all the same."""
-        return weights_of(self.uncertainty, self.known)
+        """(H, W): how much pixels count whose normals are uncertain; None if all the same.
+
+        The weight of a sample is the inverse of its variance. A normal that is off by δ changes
+        what a pixel shows by about κ I δ, where κ, the relative slope of shading by angle, is of
+        the order of 1. Beside that, samples have a variance ε² I² that does not come from normals:
+        noise, and what the model does not hold, such as shadows. With δ of the size σ, the
+        uncertainty, the variance is I² (ε² + κ² σ²), so
+
+            ω = 1 / (1 + (σ/σ₀)²),     σ₀ = ε/κ,
+
+        up to a factor, which does not matter. κ is 0.7 (RMS over the pixels of six furnished rooms,
+        SH lights, normals off by 1 to 15 degrees; median 0.45), so `HALF_WEIGHT`, 5 degrees, stands
+        for ε = 6 %. There, with normals off by 5 degrees on average and σ known, errors of relit
+        pictures fell from 0.170 without weights to 0.118, 0.136 and 0.158 with σ₀ of 1.5, 5 and 20
+        degrees. An ensemble tells only a part of σ, which is why σ₀ is not smaller. Where there is
+        no normal at all, the weight is 0.
+        """
+        known = np.ones(self.normals.shape[:2], bool) if self.known is None else self.known
+        if self.uncertainty is None and known.all():
+            return None
+        sigma = 0.0 if self.uncertainty is None else self.uncertainty
+        return np.where(known, 1 / (1 + (sigma / HALF_WEIGHT) ** 2), 0).astype(np.float32)
 
 
 def estimate(
-    source: str,
-    srgb8: NDArray[np.uint8],
-    *,
-    fov: float,
-    mask: NDArray[np.bool_] | None = None,
-    **options: Any,
+    source: str, srgb8: Codes, *, fov: float, mask: Mask | None = None, **options: Any
 ) -> Normals:
     """Find normals for a picture.
 
@@ -123,42 +136,9 @@ def kind_of(source: str) -> str:
     return "depth" if source.startswith(DEPTH) else "file"
 
 
-def weights_of(
-    uncertainty: NDArray[np.floating[Any]] | None, known: NDArray[np.bool_] | None
-) -> NDArray[np.float32] | None:
-    """How much pixels count whose normals are uncertain: (H, W), or None if all the same.
-
-    The weight of a sample is the inverse of its variance. A normal that is off by δ changes what a
-    pixel shows by about κ I δ, where κ, the relative slope of shading by angle, is of the order of
-    1. Beside that, samples have a variance ε² I² that does not come from normals: noise, and what
-    the model does not hold, such as shadows. With δ of the size σ the variance is
-    I² (ε² + κ² σ²), so
-
-        ω = 1 / (1 + (σ/σ₀)²),     σ₀ = ε/κ,
-
-    up to a factor, which does not matter. κ is 0.7 (RMS over the pixels of six furnished rooms, SH
-    lights, normals off by 1 to 15 degrees; median 0.45), so `HALF_WEIGHT`, 5 degrees, stands for ε
-    = 6 %. There, with normals off by 5 degrees on average and σ known, errors of relit pictures
-    fell from 0.170 without weights to 0.118, 0.136 and 0.158 with σ₀ of 1.5, 5 and 20 degrees. An
-    ensemble tells only a part of σ, which is why σ₀ is not smaller. `uncertainty` (H, W) is σ in
-    degrees; where `known` (H, W) says that there is no normal at all, the weight is 0.
-    """
-    if known is not None and known.all():
-        known = None
-    if uncertainty is not None:
-        weights = 1 / (1 + (np.asarray(uncertainty, np.float64) / HALF_WEIGHT) ** 2)
-    elif known is not None:
-        weights = np.ones(known.shape)
-    else:
-        return None
-    if known is not None:
-        weights[~known] = 0
-    return weights.astype(np.float32)
-
-
 def from_normals(
     path: Path, size: tuple[int, int], convention: Convention
-) -> tuple[Array, NDArray[np.bool_], tuple[str, ...]]:
+) -> tuple[Array, Mask, tuple[str, ...]]:
     """Normals of a file in camera space, at the size (height, width) of the pictures.
 
     The file is one that `read_normals` reads. The map has the pictures' size, or is larger in the
@@ -196,7 +176,7 @@ def of_depth(
     fov: float,
     kind: DepthKind = "z",
     view_width: float | None = None,
-) -> tuple[Array, NDArray[np.bool_]]:
+) -> tuple[Array, Mask]:
     """Normals of a depth map in a file, at the size (height, width) of the pictures.
 
     The file is one that `read_depth` reads, of the pictures' size or larger in the same proportion;
@@ -227,9 +207,7 @@ def of_depth(
     return _at_size(normals, known, size)
 
 
-def _at_size(
-    normals: Array, known: NDArray[np.bool_], size: tuple[int, int]
-) -> tuple[Array, NDArray[np.bool_]]:
+def _at_size(normals: Array, known: Mask, size: tuple[int, int]) -> tuple[Array, Mask]:
     """Unit normals averaged over the pixels of a smaller picture, and made unit again.
 
     What is not known, or cancels, faces the viewer. Also returns what is known at that size.

@@ -15,13 +15,13 @@ from __future__ import annotations
 import io
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from pbrfit._core import InputError
+from pbrfit.io.arrays import Codes, Floats
 from pbrfit.io.color import decode_srgb, encode_srgb
 from pbrfit.io.exif import without_warnings
 from pbrfit.io.quoting import shown
@@ -73,7 +73,7 @@ class Frame:
         """(rows above, columns to the left) that are padding."""
         return (self.padded[0] - self.scaled[0]) // 2, (self.padded[1] - self.scaled[1]) // 2
 
-    def to_model(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def to_model(self, picture: Codes) -> Codes:
         """Picture (H, W, 3) of `size`, sRGB, at the size that the network takes."""
         if self.scaled != self.size:
             picture = resized_srgb8(picture, self.scaled)
@@ -83,7 +83,7 @@ class Frame:
         ]
         return np.pad(picture, [*around, (0, 0)], mode="symmetric")
 
-    def from_model(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def from_model(self, picture: Codes) -> Codes:
         """What came back, sRGB, at the picture's size: the inverse of `to_model`.
 
         Raises InputError if it is not of the size that was asked for, so that nobody knows what
@@ -134,13 +134,13 @@ def _padded(longer: int, shorter: int, limits: Limits) -> tuple[int, int] | None
     return padded, whole(max(shorter, limits.least_side, padded / limits.most_aspect))
 
 
-def resized_srgb8(picture: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
+def resized_srgb8(picture: Codes, size: tuple[int, int]) -> Codes:
     """Picture (H, W, 3), sRGB, scaled in linear light to (height, width)."""
     linear = resized(decode_srgb(picture / 255.0), size)
     return np.asarray(np.rint(255 * encode_srgb(np.clip(linear, 0, 1))), dtype=np.uint8)
 
 
-def resized(pixels: NDArray[np.floating[Any]], size: tuple[int, int]) -> NDArray[np.float32]:
+def resized(pixels: Floats, size: tuple[int, int]) -> NDArray[np.float32]:
     """Linear pixels (H, W, C) at (height, width), borders on borders.
 
     An axis that shrinks is averaged over areas; one that grows is interpolated by cubics, without
@@ -163,7 +163,7 @@ def resized(pixels: NDArray[np.floating[Any]], size: tuple[int, int]) -> NDArray
     return result
 
 
-def read_srgb8(data: bytes) -> NDArray[np.uint8]:
+def read_srgb8(data: bytes) -> Codes:
     """Pixels (H, W, 3), uint8, of the bytes of a picture file; ValueError if they are none."""
     try:
         with without_warnings(), Image.open(io.BytesIO(data), formats=FORMATS) as picture:

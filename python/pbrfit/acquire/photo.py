@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.display.tone import codes, encoded
 from pbrfit.io import images
+from pbrfit.io.arrays import Array, Codes, Mask
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.quoting import listed
 from pbrfit.io.resampling import averaged_channels, averaged_where, reduced_size
@@ -34,7 +35,7 @@ class Photo:
     path: Path
     pixels: NDArray[np.float32]
     """(H, W, 3), linear Rec.709, upright. Finite; what the mask leaves out is as stored."""
-    mask: NDArray[np.bool_] | None
+    mask: Mask | None
     """(H, W), bool: what alpha and finite values leave; None = all."""
     sha256: str
     """Of the file, hexadecimal."""
@@ -53,7 +54,7 @@ class Photo:
         height, width = self.pixels.shape[:2]
         return height, width
 
-    def srgb8(self) -> NDArray[np.uint8]:
+    def srgb8(self) -> Codes:
         """What a network is shown: (H, W, 3), sRGB.
 
         Of an 8-bit sRGB file that was not scaled these are its bytes. What the mask leaves out has
@@ -147,7 +148,7 @@ def exposure_of(path: Path, pixels: NDArray[np.float32]) -> float:
 
 def shown_to_network(
     folder: Path, picture: str | None = None, color_space: ColorSpace | None = None
-) -> tuple[NDArray[np.uint8], str]:
+) -> tuple[Codes, str]:
     """The picture of a scene folder that a network is shown, (H, W, 3), sRGB; and what it is.
 
     Without a name it is the mean of all pictures, each brought to the same mean radiance. Light
@@ -163,12 +164,12 @@ def shown_to_network(
         if picture not in names:
             raise InputError(f"picture: expected one of {listed(names)}, found {picture!r}")
         paths = (paths[names.index(picture)],)
-    total: NDArray[np.float64] | None = None
+    total: Array = np.zeros(())
     for path in paths:
         read = options.picture(path).pixels
         pixels = np.where(np.isfinite(read), read, 0.0).astype(np.float64)
         mean = float(pixels.mean())
-        if total is None:
+        if not total.ndim:
             total = np.zeros_like(pixels)
         if pixels.shape != total.shape:
             raise InputError(
@@ -177,7 +178,7 @@ def shown_to_network(
             )
         if mean > 0:  # a picture without any light tells nothing
             total += pixels / mean
-    if total is None or not total.any():
+    if not total.any():
         raise InputError(f"{paths[0].parent}: expected radiance above 0, found none")
     seen = codes(encoded(total / white_of(total)))
     what = f"picture {paths[0].stem}" if len(paths) == 1 else f"the mean of {len(paths)} pictures"

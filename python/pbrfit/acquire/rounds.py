@@ -9,18 +9,14 @@ same attempts again and finds them in the journal.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
 
-from pbrfit.acquire.generators import RETRY_STEP, Generator, Refused, Request
+from pbrfit.acquire.generators import RETRY_STEP, Generated, Generator, Refused, Request
 from pbrfit.acquire.journal import Entry, Journal
 from pbrfit.acquire.photo import Photo
+from pbrfit.acquire.review import Check, Reviewer
 from pbrfit.io.color import Conversion
-
-if TYPE_CHECKING:
-    from pbrfit.acquire.review import Check, Reviewer
 
 LINEAR = Conversion("srgb")
 """Gives the linear light of received pictures."""
@@ -52,92 +48,73 @@ class Picture:
     @property
     def accepted(self) -> bool:
         """Whether the last attempt was."""
-        return bool(self.attempts) and not self.attempts[-1].reason
+        return not self.attempts[-1].reason
 
     @property
     def reason(self) -> str:
         """Why the last attempt was refused."""
-        return self.attempts[-1].reason if self.attempts else "never asked for"
+        return self.attempts[-1].reason
 
 
 Progress = Callable[[str, int, int], None]
 """Told what is done next, which picture that is, from 1 on, and how many there will be so far."""
 
 
-@dataclass(eq=False)
-class Rounds:
-    """What the rounds need, and how many pictures were asked for."""
+def make_pictures(
+    requests: Iterable[Request],
+    photo: Photo,
+    generator: Generator,
+    journal: Journal,
+    reviewer: Reviewer | None,
+    regenerate: int,
+    progress: Progress,
+) -> list[Picture]:
+    """Ask for all and review them.
 
-    photo: Photo
-    generator: Generator
-    journal: Journal
-    reviewer: Reviewer | None
-    regenerate: int
-    progress: Progress
-    asked: int = 0
-    wanted: int = 0
+    Raises InputError, OSError or MemoryError if the generator cannot go on. What had come is in the
+    journal.
+    """
+    pictures = [Picture(request) for request in requests]
 
-    def make(self, requests: Iterable[Request]) -> list[Picture]:
-        """Ask for all and review them.
+    def tell(what: str, begun: int) -> None:
+        asked = begun + sum(len(picture.attempts) for picture in pictures)
+        progress(what, asked, max(asked, len(pictures)))
 
-        Raises InputError, OSError or MemoryError if the generator cannot go on. What had come is in
-        the journal.
-        """
-        pictures = [Picture(request) for request in requests]
-        self.wanted = len(pictures)
-        for picture in pictures:
-            self._until_accepted(picture)
-        if self.reviewer is None:
-            return pictures
-        while True:
-            accepted = [picture for picture in pictures if picture.accepted]
-            if not accepted:
-                return pictures
-            self._tell("reviewing together")
-            entries = (picture.attempts[-1].entry for picture in accepted)
-            verdicts = self.reviewer.together([LINEAR(self.journal.pixels(e)) for e in entries])
-            refused = []
-            for picture, verdict in zip(accepted, verdicts, strict=True):
-                reason = "" if verdict.accepted else verdict.reason
-                picture.attempts[-1] = dataclasses.replace(
-                    picture.attempts[-1], together=verdict.checks, reason=reason
-                )
-                if reason:
-                    refused.append(picture)
-            if not refused:
-                return pictures
-            for picture in refused:
-                self._until_accepted(picture)
-
-    def _until_accepted(self, picture: Picture) -> None:
-        """Attempts at one picture, while it is refused by the review and may be asked for again.
-
-        What the generator itself refused would be refused again.
-        """
-        most = 1 + (self.regenerate if self.generator.retries else 0)
-        while len(picture.attempts) < most and not picture.accepted:
-            if picture.attempts and picture.attempts[-1].entry.refused:
-                return
-            picture.attempts.append(self._attempt(picture.request, len(picture.attempts)))
-
-    def _attempt(self, first: Request, k: int) -> Attempt:
-        request = dataclasses.replace(first, seed=first.seed + k * RETRY_STEP)
-        self.asked += 1
-        entry = self.journal.find(request)
+    def attempt(request: Request) -> Attempt:
+        entry = journal.find(request)
         if entry is None:
-            self._tell(f"{request.name}, seed {request.seed}")
+            tell(f"{request.name}, seed {request.seed}", 1)
+            answer: Generated | Refused
             try:
-                entry = self.journal.keep(request, self.generator.generate(self.photo, request))
+                answer = generator.generate(photo, request)
             except Refused as refusal:
-                entry = self.journal.refuse(request, refusal)
+                answer = refusal
+            entry = journal.keep(request, answer)
         else:
-            self._tell(f"{request.name}, in the journal")
-        if entry.refused:
+            tell(f"{request.name}, in the journal", 1)
+        if entry.refused or reviewer is None:
             return Attempt(entry, reason=entry.refused)
-        if self.reviewer is None:
-            return Attempt(entry)
-        verdict = self.reviewer.picture(LINEAR(self.journal.pixels(entry)))
-        return Attempt(entry, verdict.checks, reason="" if verdict.accepted else verdict.reason)
+        verdict = reviewer.picture(LINEAR(journal.pixels(entry)))
+        return Attempt(entry, verdict.checks, reason=verdict.reason)
 
-    def _tell(self, what: str) -> None:
-        self.progress(what, self.asked, max(self.asked, self.wanted))
+    refused = pictures
+    while refused:
+        for picture in refused:
+            for k in range(len(picture.attempts), 1 + (regenerate if generator.retries else 0)):
+                seed = picture.request.seed + k * RETRY_STEP
+                picture.attempts.append(attempt(replace(picture.request, seed=seed)))
+                # What the generator itself refused would be refused again.
+                if picture.accepted or picture.attempts[-1].entry.refused:
+                    break
+        accepted = [picture for picture in pictures if picture.accepted]
+        if reviewer is None or not accepted:
+            break
+        tell("reviewing together", 0)
+        entries = (picture.attempts[-1].entry for picture in accepted)
+        verdicts = reviewer.together([LINEAR(journal.pixels(entry)) for entry in entries])
+        for picture, verdict in zip(accepted, verdicts, strict=True):
+            picture.attempts[-1] = replace(
+                picture.attempts[-1], together=verdict.checks, reason=verdict.reason
+            )
+        refused = [picture for picture in accepted if not picture.accepted]
+    return pictures

@@ -18,7 +18,7 @@ from pathlib import Path
 from pbrfit._core import InputError
 from pbrfit.acquire import journal
 from pbrfit.acquire.photo import Photo
-from pbrfit.io.output import making, naming, undisturbed, unfinished
+from pbrfit.io.output import FolderForm, making, naming, undisturbed, unfinished
 
 PICTURES = "images"
 
@@ -43,9 +43,6 @@ _TEMPORARY = ".pbrfit-generate-"
 """What the folder's name starts with that a run works in; one that was killed leaves it."""
 
 _LEFT = re.compile(rf"{re.escape(_TEMPORARY)}[0-9a-f]{{12}}")
-
-_OF_SYSTEMS = (".db", ".ini")
-"""Files that Windows puts beside pictures."""
 
 
 def check_place(
@@ -82,11 +79,9 @@ def check_place(
             f"{out}: expected a folder that does not exist yet, found {there}; --resume goes on "
             "with it, --overwrite makes it anew from what the journal holds and what it lacks"
         )
-    pictures = sorted((out / PICTURES).iterdir()) if (out / PICTURES).is_dir() else []
-    made = {f"{name}.png" for name in (PHOTO, *(journal.names(folder) if pictures else ()))}
-    for path in pictures:
-        of_a_system = path.name.startswith(".") or path.suffix.lower() in _OF_SYSTEMS
-        if path.name not in made and not of_a_system:
+    if (out / PICTURES).is_dir():
+        made = [f"{name}.png" for name in (PHOTO, *journal.names(folder))]
+        for path in FolderForm(listed=lambda _: made).foreign(out / PICTURES):
             raise FileExistsError(
                 f"{path}: expected only pictures that `pbrfit generate` put there, because all are "
                 "replaced, found another; move it away first"
@@ -103,36 +98,25 @@ def place(out: Path) -> Iterator[Path]:
     if nothing can be written there.
     """
     out_at = out.resolve()
+    temporary = out_at / f"{_TEMPORARY}{secrets.token_hex(6)}"
     new = [folder for folder in (out_at, *out_at.parents) if not folder.exists()]
-    try:
+    with unfinished(temporary, parents=new):
         with making(out, "folder"):
             out_at.mkdir(parents=True, exist_ok=True)
-        with _alone(out_at, out), _working(out_at, out) as temporary:
-            yield temporary
-    finally:
-        with suppress(OSError):  # what is not empty stays, and so do the folders above it
-            for folder in new:
-                folder.rmdir()
-
-
-@contextmanager
-def _working(out_at: Path, out: Path) -> Iterator[Path]:
-    """The temporary folder, and what becomes of it."""
-    temporary = out_at / f"{_TEMPORARY}{secrets.token_hex(6)}"
-    with unfinished(temporary):
-        try:
-            with making(out, "folder"):
-                temporary.mkdir()
-            with naming(out, temporary):
-                yield temporary
-                with undisturbed():
-                    _put(temporary, out_at)
-        finally:
-            shutil.rmtree(temporary, ignore_errors=True)
-            kept = out_at / journal.FOLDER
-            with suppress(OSError):
-                if kept.is_dir() and all(path.name == journal.RUN for path in kept.iterdir()):
-                    shutil.rmtree(kept)
+        with _alone(out_at, out):
+            try:
+                with making(out, "folder"):
+                    temporary.mkdir()
+                with naming(out, temporary):
+                    yield temporary
+                    with undisturbed():
+                        _put(temporary, out_at)
+            finally:
+                shutil.rmtree(temporary, ignore_errors=True)
+                kept = out_at / journal.FOLDER
+                with suppress(OSError):
+                    if all(path.name == journal.RUN for path in kept.iterdir()):
+                        shutil.rmtree(kept)
 
 
 @contextmanager

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pbrfit.acquire import weights
 from pbrfit.acquire.normals import check_reducible
 from pbrfit.io import images
+from pbrfit.io.arrays import Codes, Mask
 from pbrfit.io.checks import finite
 from pbrfit.io.resampling import at_centres
 from pbrfit.scene.folder import MAX_ID
@@ -27,9 +28,7 @@ POINTS = 32
 WHAT, SHARE = "SAM2", "a share of the picture, 0 to 1"
 
 
-def segment(
-    source: str, srgb8: NDArray[np.uint8], **options: Any
-) -> tuple[NDArray[np.uint16], dict[str, Any]]:
+def segment(source: str, srgb8: Codes, **options: Any) -> tuple[NDArray[np.uint16], dict[str, Any]]:
     """Find the segments of a picture.
 
     The source is "sam2", with the options of `by_sam2`, or a file with ids: a grey PNG or TIFF of 8
@@ -49,7 +48,7 @@ def segment(
 
 
 def by_sam2(
-    srgb8: NDArray[np.uint8],
+    srgb8: Codes,
     *,
     model: str = MODEL,
     points: int = POINTS,
@@ -112,7 +111,7 @@ def by_sam2(
 
 
 def ids_of(
-    masks: Sequence[NDArray[np.bool_]], size: tuple[int, int], *, smallest: float = SMALLEST
+    masks: Sequence[Mask], size: tuple[int, int], *, smallest: float = SMALLEST
 ) -> NDArray[np.uint16]:
     """One id map of masks that may overlap.
 

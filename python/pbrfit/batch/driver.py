@@ -14,13 +14,18 @@ from typing import Any, Generic, TypeVar
 from pbrfit import address_space
 from pbrfit.batch import heartbeat
 from pbrfit.batch.cluster import Cluster, threads_of_worker
-from pbrfit.batch.executors import Here, Processes, Workers
+from pbrfit.batch.executors import Processes, Workers
 from pbrfit.errors import in_one_line
+from pbrfit.threads import one_blas_thread
 
 log = logging.getLogger("pbrfit")
 
 T = TypeVar("T")
 R = TypeVar("R")
+
+LOOK_EVERY = 1.0
+"""Seconds to wait for a task to end before looking around: whether there are more slots, and to
+tell that work goes on."""
 
 
 @dataclass(frozen=True)
@@ -40,25 +45,25 @@ class Attempt(Generic[R]):
 
 def workers(
     jobs: int | None, cluster: str | None, *, most: int, patience: float | None = None
-) -> Workers:
+) -> Workers | None:
     """Make the workers for so many tasks at the same time, of whom no more than `most` are of use.
 
-    Without a cluster (see `pbrfit.batch.cluster.Cluster`) `jobs` of 1 or None are done in this
-    process, with all processors, unless `patience` of `Processes` is given; on one, None is one job
-    for each worker. Raises InputError if there is no such cluster.
+    Without a cluster (see `pbrfit.batch.cluster.Cluster`) `jobs` of 1 or None need none, unless
+    `patience` of `Processes` is given; on one, None is one job for each worker. Raises InputError
+    if there is no such cluster.
     """
     jobs = None if jobs is None else min(jobs, most)
     if cluster is not None:
         return Cluster(cluster, jobs)
     if patience is not None:
         return Processes(jobs or 1, patience)
-    return Here() if jobs in (None, 1) else Processes(jobs)
+    return None if jobs in (None, 1) else Processes(jobs)
 
 
 def drive(
     tasks: Sequence[T],
     work: Callable[[T, int], R],
-    workers: Workers,
+    workers: Workers | None,
     *,
     ended: Callable[[T, Attempt[R]], None],
     meanwhile: Callable[[int], None] = lambda _: None,
@@ -66,6 +71,8 @@ def drive(
     available: int | None = None,
 ) -> None:
     """Do all tasks, whatever can be pickled, by workers that are stopped in the end.
+
+    Without workers they are done in this process, one by one, with all processors.
 
     Whoever runs when a worker dies is suspected of it. Suspects are tried again in the end, one at
     a time, which shows whose process dies; the death may also have been another's doing, who took
@@ -78,6 +85,10 @@ def drive(
     ends. `memory` gives the bytes that a task will take, of so many `available`: a task waits while
     it and those running would take more; one runs always.
     """
+    if workers is None:
+        for task in tasks:
+            ended(task, attempt(work, task, 0, False))
+        return
     waiting, suspects = deque(tasks), deque[T]()
     sizes: dict[int, int] = {}  # by the identity of a task: its size is read from files, once
 
@@ -117,7 +128,7 @@ def _one_pool(
                 break
             slot = None if watch is None else watch.begin()
             try:
-                future = executor.submit(attempt, work, task, workers.threads, workers.apart, slot)
+                future = executor.submit(attempt, work, task, workers.threads, True, slot)
             except BrokenExecutor:
                 broken = True  # it was not handed over
                 if watch is not None and slot is not None:
@@ -127,7 +138,7 @@ def _one_pool(
         if not running:
             continue
         meanwhile(len(running))
-        done, _ = wait(running, timeout=workers.patience, return_when=FIRST_COMPLETED)
+        done, _ = wait(running, timeout=LOOK_EVERY, return_when=FIRST_COMPLETED)
         if workers.failure is not None:
             raise workers.failure
         if watch is not None and not stalled:
@@ -152,8 +163,6 @@ def attempt(
     work: Callable[[T, int], R], task: T, threads: int | None, apart: bool, slot: int | None = None
 ) -> Attempt[R]:
     """Do a task where it runs; what it raises becomes a line. `slot` is of `heartbeat.Watch`."""
-    from pbrfit.threads import one_blas_thread
-
     if threads is None:
         threads = threads_of_worker()
     heartbeat.take(slot)

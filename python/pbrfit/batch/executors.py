@@ -1,4 +1,4 @@
-"""Where tasks run: in this process, or in several; `cluster` has those on other machines."""
+"""Where tasks run: in several processes; `cluster` has those on other machines."""
 
 from __future__ import annotations
 
@@ -13,29 +13,21 @@ from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager, suppress
 from multiprocessing.process import BaseProcess
 from types import FrameType
-from typing import Any, ParamSpec, TypeVar
+from typing import Any
 
 from pbrfit import ending
 from pbrfit.batch import heartbeat
 from pbrfit.batch.heartbeat import Watch
 from pbrfit.threads import processors
 
-P = ParamSpec("P")
-R = TypeVar("R")
-
 
 class Workers(ABC):
-    """Those who do tasks."""
+    """Those who do tasks in other processes."""
 
-    apart = True
-    """Whether tasks run in other processes."""
     threads: int | None = None
     """That a task may use: 0 = one for each processor; None = as many as its worker has."""
     deaths: tuple[type[BaseException], ...] = ()
     """What a future raises when the process of its task died, beside `BrokenExecutor`."""
-    patience: float | None = 1.0
-    """Seconds to wait for a task to end before looking around: whether there are more slots, and to
-    tell that work goes on. None = until one ends."""
     watch: Watch | None = None
     """Of tasks that make no step; None = nobody looks."""
     failure: BaseException | None = None
@@ -52,35 +44,6 @@ class Workers(ABC):
     @abstractmethod
     def stop(self) -> None:
         """Let go of everything; what still runs is ended at once."""
-
-
-class Here(Workers):
-    """In this process, a task at a time."""
-
-    apart = False
-    threads = 0
-    patience = None
-
-    def start(self) -> Executor:
-        """Give an executor whose `submit` does the task."""
-        return _AtOnce()
-
-    def slots(self) -> int:
-        """One."""
-        return 1
-
-    def stop(self) -> None:
-        """Nothing runs that could be ended."""
-
-
-class _AtOnce(Executor):
-    def submit(self, fn: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> Future[R]:
-        future: Future[R] = Future()
-        try:
-            future.set_result(fn(*args, **kwargs))
-        except Exception as error:
-            future.set_exception(error)
-        return future
 
 
 class Processes(Workers):

@@ -13,20 +13,28 @@ from typing import TYPE_CHECKING, Literal
 
 from pbrfit import address_space
 from pbrfit._core import InputError
-from pbrfit.batch import heartbeat
+from pbrfit.batch import heartbeat, process_memory
+from pbrfit.batch.prediction import of_scene
+from pbrfit.batch.unchanged import kept
 from pbrfit.errors import in_one_line
 from pbrfit.io.json_files import read_as
 from pbrfit.io.normal_files import NORMAL_FILES
+from pbrfit.io.output import new_folder
+from pbrfit.registration.placement import aligned
+from pbrfit.report import write_report
+from pbrfit.result import advice
+from pbrfit.result.data import Status
 from pbrfit.result.held_out import HeldOut
 from pbrfit.result.options import FitOptions
+from pbrfit.result.result import REPORT_FILE, RESULT_FOLDER, Result
 from pbrfit.result.verdict import Verdict, verdicts_of
 from pbrfit.scene.folder import PARTS, first_and_last, is_scene, loose_pictures
+from pbrfit.scene.options import ReadOptions
+from pbrfit.scene.scene import Scene
+from pbrfit.steps import step
 
 if TYPE_CHECKING:
     from pbrfit.fit.decompose import Progress
-    from pbrfit.result.result import Result
-    from pbrfit.scene.options import ReadOptions
-    from pbrfit.scene.scene import Scene
 
 log = logging.getLogger("pbrfit")
 
@@ -106,17 +114,7 @@ def decompose_scene(
     `threads` are used where the task asks for none. Raises InputError, OSError or MemoryError if
     the scene cannot be used, or its result not be written. The message names the file.
     """
-    from pbrfit.batch import process_memory
-    from pbrfit.batch.unchanged import kept
-    from pbrfit.fit.decompose import decompose
-    from pbrfit.io.output import new_folder
-    from pbrfit.registration.placement import aligned
-    from pbrfit.report import write_report
-    from pbrfit.result import advice
-    from pbrfit.result.data import Status
-    from pbrfit.result.result import REPORT_FILE, RESULT_FOLDER
-    from pbrfit.scene.scene import Scene
-    from pbrfit.steps import step
+    from pbrfit.fit.decompose import decompose  # here: it takes long to import
 
     address_space.reserve_blas()
     wanted = _Wanted(task, show)
@@ -215,8 +213,6 @@ def scenes_in(folder: Path) -> list[Path]:
 
 def memory_of(task: SceneTask, threads: int) -> int:
     """Bytes that a worker of so many threads will take with a scene; 0 for what cannot be read."""
-    from pbrfit.batch.prediction import of_scene
-
     try:
         needed = of_scene(task.source, task.reading, task.options, task.threads or threads)
         return LIBRARIES_BYTES + needed.peak

@@ -133,7 +133,7 @@ def _task(
 
 def _run_one(task: SceneTask, options: argparse.Namespace) -> int:
     began = time.perf_counter()
-    with _display(1, options) as display:
+    with SceneDisplay(1, options) as display:
         try:
             with fit_steps(quiet=options.quiet) as show:
                 outcome = decompose_scene(task, 0, show)
@@ -151,7 +151,7 @@ def _run_all(
     scenes: Sequence[Path], outputs: Sequence[Path], options: argparse.Namespace, *, one: bool
 ) -> int:
     where = place.of_one(options.out) if one else place.of_batch(options.out)
-    display = _display(len(scenes), options)
+    display = SceneDisplay(len(scenes), options)
     with where as temporaries:
         tasks = [
             _task(path, output, options, temporaries)
@@ -161,7 +161,7 @@ def _run_all(
         if patience is None and options.cluster is None and address_space.left() is not None:
             patience = PATIENCE
         done_by = workers(options.jobs, options.cluster, most=len(tasks), patience=patience)
-        beside = done_by.apart and options.cluster is None
+        own = done_by if options.cluster is None else None  # those whose memory is this machine's
         try:
             with display:
                 drive(
@@ -169,8 +169,8 @@ def _run_all(
                     decompose_scene,
                     done_by,
                     ended=display.tell,
-                    meanwhile=display.show if done_by.apart else lambda _: None,
-                    memory=partial(memory_of, threads=done_by.threads or 0) if beside else None,
+                    meanwhile=display.show,
+                    memory=partial(memory_of, threads=own.threads or 0) if own else None,
                     available=memory.available(),
                 )
         except ConnectionError as error:
@@ -187,11 +187,6 @@ def _run_all(
     if display.failed:
         return cli.SOME_FAILED if len(display.failed) < len(tasks) else cli.UNUSABLE
     return cli.NO_USABLE_MAP if display.unusable else cli.DONE
-
-
-def _display(scenes: int, options: argparse.Namespace) -> SceneDisplay:
-    how = {name: getattr(options, name) for name in ("quiet", "strict", "verbose")}
-    return SceneDisplay(scenes, as_json=options.json, **how)
 
 
 def _find_scenes(paths: Sequence[Path]) -> tuple[list[Path], bool]:

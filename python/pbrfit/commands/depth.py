@@ -6,7 +6,6 @@ import argparse
 import shlex
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit.acquire.depth import MODEL, estimate
 from pbrfit.acquire.marigold import DEPTH_MODEL, ENSEMBLE
@@ -14,6 +13,7 @@ from pbrfit.commands import arguments as cli
 from pbrfit.commands import network_options as network
 from pbrfit.commands.scene_options import DEPTH_KIND, field_of_view
 from pbrfit.io import images
+from pbrfit.io.arrays import Codes
 from pbrfit.io.depth_files import DEPTH_FILES, METRES
 from pbrfit.scene import completion
 from pbrfit.scene.depth import in_words
@@ -27,9 +27,7 @@ def _unit(text: str) -> float:
 
 MARIGOLD: network.Flags = {
     **network.SHOWN,
-    "ensemble": cli.value(
-        "E", cli.positive, f"predictions that are averaged (default: {ENSEMBLE})"
-    ),
+    **network.ensemble("averaged"),
     **network.SAMPLER,
     **network.checkpoint(f"{DEPTH_MODEL}, or {MODEL}"),
     **network.DEVICE,
@@ -80,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
     surface = read_surface(options.scene, ReadOptions(fov=options.fov))
     kind = options.source if options.source in FLAGS else "file"
     given = network.asked_for(options, FLAGS, kind)
-    shown: NDArray[np.uint8] = np.zeros((*surface.size, 3), np.uint8)  # only its size matters
+    shown: Codes = np.zeros((*surface.size, 3), np.uint8)  # only its size matters
     if kind in ("marigold", "depth-anything"):
         shown, _ = network.shown(options.scene, given)
     if kind == "marigold":

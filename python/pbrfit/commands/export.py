@@ -7,11 +7,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from pbrfit.commands import arguments as cli
-from pbrfit.export import EXPORT_FOLDER, Exported, export_result
+from pbrfit.export import Exported, export_result
 from pbrfit.export.maps import Bits, NormalConvention
 from pbrfit.export.presets import Format, PresetName
 from pbrfit.export.view_mesh import Geometry
-from pbrfit.io.output import check_free
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -53,7 +52,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write the export, and list its files."""
-    check_free(options.out, overwrite=options.overwrite, form=EXPORT_FOLDER)
     names = ("format", "preset", "normals", "bits", "geometry", "overwrite")
     asked = {name: getattr(options, name) for name in names}
     result = cli.read_result(options)

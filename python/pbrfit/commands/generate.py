@@ -15,7 +15,7 @@ from pbrfit.acquire.generation import NETWORKS, depth_source, generate
 from pbrfit.acquire.generation_report import GenerationReport
 from pbrfit.acquire.generators import create
 from pbrfit.acquire.prompts import listing, read_prompts, shipped_text
-from pbrfit.acquire.rounds import REGENERATE, Progress
+from pbrfit.acquire.rounds import Progress
 from pbrfit.acquire.weights import Device, Offload, Precision
 from pbrfit.commands import arguments as cli
 from pbrfit.commands.network_options import source
@@ -167,21 +167,19 @@ def run(options: argparse.Namespace) -> int:
     if options.generator == "flux2-klein":
         names += ["device", "quiet"]
     generator = create(options.generator, **{name: getattr(options, name) for name in names})
-    as_given = ["count", "normals", "segments", "depth", "fov", "color_space"]
-    as_given += ["max_size", "resume", "overwrite"]
+    as_given = ["count", "seed", "regenerate", "normals", "segments", "depth", "device", "fov"]
+    as_given += ["color_space", "max_size", "resume", "overwrite"]
+    given = {name: value for name in as_given if (value := getattr(options, name)) is not None}
     with _progress(options) as told:
         report = generate(
             options.photo,
             options.out,
             generator=generator,
             catalogue=catalogue,
-            seed=options.seed or 0,
-            regenerate=REGENERATE if options.regenerate is None else options.regenerate,
             review=not options.no_review,
-            device=options.device or "auto",
             with_photo=not options.without_photo,
             progress=told,
-            **{name: getattr(options, name) for name in as_given},
+            **given,
         )
     if options.json:
         with cli.unread_is_no_failure():

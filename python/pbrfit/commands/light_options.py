@@ -103,9 +103,10 @@ def choose_light(options: argparse.Namespace, result: Result) -> tuple[Light, Fa
         if name is None:
             expected = f"--picture NAME, because it holds {len(pictures)} lights"
         raise InputError(f"{file}: expected {expected}, found {listed(pictures)}")
-    own: Light = (ambient := lighting.of((name,), file)[0])
-    lamps, what = lighting.lamps_of((name,)), "SH"
-    if lamps is not None:
+    i, what = pictures.index(name), "SH"
+    own: Light = (ambient := lighting.coefficients[i])
+    if lighting.lamps is not None:
+        lamps = lighting.lamps.of_pictures([i])
         if not lamps.colored:
             raise InputError(f"{file}: expected known colors of the lamps of {name}, found none")
         own, what = (lamps, ambient), f"{lamps.in_words()} and ambient SH light"

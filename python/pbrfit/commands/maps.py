@@ -9,7 +9,7 @@ import numpy as np
 
 from pbrfit._core import InputError
 from pbrfit.acquire import maps
-from pbrfit.acquire.marigold import ENSEMBLE, MATERIALS_MODEL
+from pbrfit.acquire.marigold import MATERIALS_MODEL
 from pbrfit.commands import arguments as cli
 from pbrfit.commands import network_options as network
 from pbrfit.model.estimates import ESTIMATES_FILE, known_maps, write
@@ -17,9 +17,7 @@ from pbrfit.scene import completion
 
 MARIGOLD: network.Flags = {
     **network.SHOWN,
-    "ensemble": cli.value(
-        "E", cli.positive, f"predictions that are combined (default: {ENSEMBLE})"
-    ),
+    **network.ensemble("combined"),
     "steps": network.SAMPLER["steps"],
     "seed": network.SAMPLER["seed"],
     **network.checkpoint(MATERIALS_MODEL),

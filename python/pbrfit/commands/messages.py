@@ -37,8 +37,6 @@ def complain(message: str) -> None:
 
     What the library says of its options is said in flags, and no name in it steers the terminal.
     """
-    if sys.stderr is None:
-        return  # it was closed by whoever called
     try:
         print(f"pbrfit: {visible(in_flags(message))}", file=sys.stderr, flush=True)
     except OSError:

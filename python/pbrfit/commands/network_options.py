@@ -7,14 +7,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from pbrfit._core import InputError
+from pbrfit.acquire.marigold import ENSEMBLE
 from pbrfit.acquire.photo import shown_to_network
 from pbrfit.acquire.weights import Device, Offload, Precision
 from pbrfit.commands.arguments import Flag, add_flags, choice, positive, value, whole_number
 from pbrfit.commands.scene_options import COLOR_SPACE
+from pbrfit.io.arrays import Codes
 
 Flags = Mapping[str, Flag]
 """Options by their names."""
@@ -49,6 +48,12 @@ PRECISION: Flags = {
     "dtype": choice(Precision, "of its numbers (default: float16 on a GPU, else float32)"),
     "offload": choice(Offload, "what waits outside the GPU's memory (default: none)"),
 }
+
+
+def ensemble(how: str) -> Flags:
+    """How many predictions are made, and what becomes of them."""
+    said = f"predictions that are {how} (default: {ENSEMBLE})"
+    return {"ensemble": value("E", positive, said)}
 
 
 def checkpoint(default: str) -> Flags:
@@ -93,6 +98,6 @@ def asked_for(options: argparse.Namespace, flags: Mapping[str, Flags], kind: str
     return {name: value for name, value in values.items() if value is not None}
 
 
-def shown(scene: Path, given: dict[str, Any]) -> tuple[NDArray[np.uint8], str]:
+def shown(scene: Path, given: dict[str, Any]) -> tuple[Codes, str]:
     """What a network is shown of a scene, and what that is; takes the options `SHOWN` away."""
     return shown_to_network(scene, given.pop("picture", None), given.pop("color_space", None))

@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.acquire.marigold import ENSEMBLE, NORMALS_MODEL
@@ -19,6 +18,7 @@ from pbrfit.commands import network_options as network
 from pbrfit.commands.progress import fit_steps
 from pbrfit.commands.scene_options import DEPTH_KIND, STORED, field_of_view
 from pbrfit.fit.lamps.estimator import normals_from_pictures
+from pbrfit.io.arrays import Codes
 from pbrfit.model.materials import nearest_inside
 from pbrfit.scene import completion, known_lamps, reading
 from pbrfit.scene import folder as scene_folder
@@ -29,12 +29,7 @@ from pbrfit.scene.scene import Scene
 FLAGS: dict[str, network.Flags] = {
     "marigold": {
         **network.SHOWN,
-        "ensemble": cli.value(
-            "E",
-            cli.positive,
-            "predictions that are averaged; from 3 on, what they differ by gives the weights "
-            f"(default: {ENSEMBLE})",
-        ),
+        **network.ensemble("averaged; from 3 on, what they differ by gives the weights"),
         **network.SAMPLER,
         **network.checkpoint(NORMALS_MODEL),
         **network.DEVICE,
@@ -184,7 +179,7 @@ def _estimated(options: argparse.Namespace) -> tuple[Normals, str]:
         convention = scene_folder.read_settings(scene / "scene.toml").convention
         given = {"convention": replace(convention, **given, **({"axes": axes} if axes else {}))}
         said = f"{path}, {given['convention']}"
-    blank: NDArray[np.uint8] = np.zeros((*completion.picture_size(scene), 3), np.uint8)
+    blank: Codes = np.zeros((*completion.picture_size(scene), 3), np.uint8)
     return estimate(options.source, blank, fov=fov, **given), said  # only their size matters
 
 

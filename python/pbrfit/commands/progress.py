@@ -36,16 +36,9 @@ def progress_bar(
     from tqdm import tqdm
 
     options: dict[str, Any] = {"dynamic_ncols": True}
-    if sys.stderr is not None and not sys.stderr.isatty():
+    if not sys.stderr.isatty():
         options = {"file": _Lines(), "ncols": 0, "leave": False}
-    return tqdm(
-        total=total,
-        desc=name,
-        unit=unit,
-        smoothing=smoothing,
-        disable=quiet or sys.stderr is None,
-        **options,
-    )
+    return tqdm(total=total, desc=name, unit=unit, smoothing=smoothing, disable=quiet, **options)
 
 
 class _Lines:
@@ -67,7 +60,7 @@ class _Lines:
 @contextmanager
 def fit_steps(*, quiet: bool) -> Iterator[Callable[[Progress], None] | None]:
     """Show the steps of a fit on stderr; what is given is for `decompose(progress=...)`."""
-    if quiet or sys.stderr is None:
+    if quiet:
         yield None
         return
     shown, ended = _Steps(), threading.Event()

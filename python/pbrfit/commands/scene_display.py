@@ -5,6 +5,7 @@ A single scene has a table of its own, with verdicts; of several each has a row.
 
 from __future__ import annotations
 
+import argparse
 import json
 import time
 from collections import Counter
@@ -48,16 +49,14 @@ class Row:
 class SceneDisplay:
     """Tells of each scene as it ends.
 
-    A single one of so many `scenes` has no bar, and a table of its own; `verbose` tells how its fit
-    went, too. `quiet` leaves out bar, lines of progress and table; `as_json` prints a line of JSON
-    a scene in place of the table; `strict` complains of scenes without a usable map.
+    A single one of so many `scenes` has no bar, and a table of its own. Of the command's options
+    `verbose` tells how its fit went, too; `quiet` leaves out bar, lines of progress and table;
+    `json` prints a line a scene in place of the table; `strict` complains of scenes without a
+    usable map.
     """
 
-    def __init__(
-        self, scenes: int, *, quiet: bool, as_json: bool, strict: bool, verbose: bool
-    ) -> None:
-        self._scenes, self._quiet, self._as_json = scenes, quiet, as_json
-        self._strict, self._verbose = strict, verbose
+    def __init__(self, scenes: int, options: argparse.Namespace) -> None:
+        self._scenes, self._options = scenes, options
         self._bar: Any = None
         self._rows: list[Row] = []
         self._began = time.perf_counter()
@@ -70,7 +69,7 @@ class SceneDisplay:
         if self._scenes > 1:
             # Without smoothing: the time left is by the mean of all that was done.
             self._bar = progress_bar(
-                self._scenes, quiet=self._quiet, unit="scene", name="scenes", smoothing=0
+                self._scenes, quiet=self._options.quiet, unit="scene", name="scenes", smoothing=0
             )
         return self
 
@@ -88,22 +87,22 @@ class SceneDisplay:
                 self.failed.append(task)
                 named = str(task.scene) in attempt.error or str(task.output) in attempt.error
                 complain(attempt.error if named else f"{task.scene}: {attempt.error}")
-            if self._strict and outcome is not None and nothing_usable(outcome.verdicts):
+            if self._options.strict and outcome is not None and nothing_usable(outcome.verdicts):
                 self.unusable.append(task)
                 said = ", ".join(f"{name} {one.level}" for name, one in outcome.verdicts.items())
                 complain(f"{task.scene}: no usable map: {said}")
             with unread_is_no_failure():
-                if self._as_json:
+                if self._options.json:
                     print(_as_json(task, attempt), flush=True)
-                elif self._quiet:
+                elif self._options.quiet:
                     pass
                 elif self._scenes > 1:
                     self._rows.append(_row(task, attempt))
                 elif outcome is not None:
                     page = task.output / REPORT_FILE
                     parts = [
-                        outcome.details if self._verbose else (),
-                        held_out_lines(outcome.held_out)[: 1 + self._verbose],
+                        outcome.details if self._options.verbose else (),
+                        held_out_lines(outcome.held_out)[: 1 + self._options.verbose],
                         verdict_lines(outcome.verdicts, outcome.steps),
                         [f"{page}: open it in a browser"] if page.is_file() else [],
                     ]

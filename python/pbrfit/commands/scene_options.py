@@ -99,7 +99,7 @@ def reading(options: argparse.Namespace) -> ReadOptions:
         return found
     picture = found.picture(options.chart)
     corners = None if options.chart_corners is None else np.reshape(options.chart_corners, (4, 2))
-    chart = read_chart(options.chart, picture, corners)
+    matrix, said = read_chart(options.chart, picture, corners)
     if not getattr(options, "quiet", False):
-        cli.complain(f"{options.chart}: {chart.said}")
-    return replace(found, color_matrix=tuple(map(tuple, chart.matrix.tolist())))
+        cli.complain(f"{options.chart}: {said}")
+    return replace(found, color_matrix=tuple(map(tuple, matrix.tolist())))

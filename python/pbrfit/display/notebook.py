@@ -8,13 +8,12 @@ from __future__ import annotations
 import base64
 from collections.abc import Sequence
 from html import escape
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from pbrfit.display.tone import codes, encoded
+from pbrfit.io.arrays import Floats, Mask
 from pbrfit.io.images import encode_png
 
 SIDE = 128
@@ -24,12 +23,7 @@ PICTURES_MAX = 24
 """Pictures that are shown: three rows in a notebook."""
 
 
-def pictures(
-    images: NDArray[np.floating[Any]],
-    names: Sequence[str],
-    valid: NDArray[np.bool_],
-    facts: Sequence[str],
-) -> str:
+def pictures(images: Floats, names: Sequence[str], valid: Mask, facts: Sequence[str]) -> str:
     """Facts, and pictures (N, H, W, 3), linear, which are clear where they are not valid."""
     # Every few rows and columns are enough for twice the size, which is then averaged down.
     step = -(-max(valid.shape) // (2 * SIDE))
@@ -52,7 +46,7 @@ def page(facts: Sequence[str], figures: Sequence[str], below: str = "") -> str:
     )
 
 
-def figure(name: str, values: NDArray[np.floating[Any]], side: int, caption: str) -> str:
+def figure(name: str, values: Floats, side: int, caption: str) -> str:
     """Values in [0, 1], (H, W, 1 or 3), clear where NaN, above a caption."""
     small = Image.fromarray(codes(np.broadcast_to(values, (*values.shape[:2], 3))))
     small.thumbnail((side, side), Image.Resampling.BOX)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit.io.arrays import Array, Codes, Floats
 from pbrfit.io.checks import finite, one_of
 from pbrfit.io.color import encode_srgb, over_channels
 
@@ -14,9 +14,7 @@ ToneMap = Literal["none", "neutral"]
 """How radiance above white is shown: clipped, or by `neutral`."""
 
 
-def encoded(
-    radiance: NDArray[np.floating[Any]], exposure: float = 0.0, tone_map: ToneMap = "none"
-) -> NDArray[np.float64]:
+def encoded(radiance: Floats, exposure: float = 0.0, tone_map: ToneMap = "none") -> Array:
     """Values for an sRGB screen, in [0, 1], of linear Rec.709 radiance (..., 3); NaN stays NaN.
 
     1 is white at exposure 0, in stops: radiance is multiplied by 2^exposure. Negative radiance is
@@ -30,7 +28,7 @@ def encoded(
     return encode_srgb(np.clip(shown, 0.0, 1.0))
 
 
-def codes(shown: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
+def codes(shown: Floats) -> Codes:
     """Values in [0, 1], (H, W) or (H, W, 3), as 8-bit codes (H, W, C); alpha is 0 where NaN is."""
     shown = np.atleast_3d(shown)
     outside = over_channels(np.logical_or, np.isnan(shown))
@@ -40,7 +38,7 @@ def codes(shown: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
     return np.asarray(found, np.uint8)
 
 
-def neutral(radiance: NDArray[np.float64]) -> NDArray[np.float64]:
+def neutral(radiance: Array) -> Array:
     """Compress highlights and keep colours below 0.8 as they are; (..., 3), 0 or more.
 
     Made for pictures of products, whose base colours are to be recognised: what is not a highlight

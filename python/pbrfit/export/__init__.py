@@ -29,7 +29,7 @@ from pbrfit.export.displacement import Displacement
 from pbrfit.export.gltf import glb
 from pbrfit.export.lights import LightPanorama
 from pbrfit.export.maps import Bits, Maps, NormalConvention
-from pbrfit.export.presets import Format, Plan, PresetName, plan
+from pbrfit.export.presets import Format, Preset, PresetName, plan
 from pbrfit.export.view_mesh import Geometry
 from pbrfit.io import images
 from pbrfit.io.json_files import UNFIT, as_json, path_text, read_json, write_json
@@ -147,11 +147,11 @@ def export_result(
         masked=not result.mask.all(),
         uncertain=result.uncertainty is not None,
     )
-    maps = Maps.of(result)
-    wanted = height and {"exr", "png"} & {*planned.formats}
-    displacement = Displacement.of(result) if wanted else None
     said: dict[str, tuple[str, str]] = {}
     with new_folder(Path(path), overwrite=overwrite, form=EXPORT_FOLDER) as folder:
+        maps = Maps.of(result)
+        wanted = height and {"exr", "png"} & {*planned.formats}
+        displacement = Displacement.of(result) if wanted else None
 
         def at(name: str, holds: str, color_space: str) -> Path:
             said[name] = holds, color_space
@@ -160,13 +160,14 @@ def export_result(
 
         colors = "base color sRGB, all else linear"
         if "gltf" in planned.formats:
-            holds = f"{planned.geometry} with textures, and the camera of the pictures"
-            content = glb(maps, result.fov, planned.bits, planned.geometry)
+            of = geometry or "card"
+            holds = f"{of} with textures, and the camera of the pictures"
+            content = glb(maps, result.fov, bits, of)
             at("material.glb", holds, colors).write_bytes(content)
         if "exr" in planned.formats:
             _write_exr(at, maps, planned, result, displacement)
         if "png" in planned.formats:
-            _write_png(at, maps, planned, displacement)
+            _write_png(at, maps, planned, bits, displacement)
         if "mtlx" in planned.formats:
             file = at("material.mtlx", materialx.HOLDS, colors)
             file.write_bytes(materialx.mtlx(planned).encode())
@@ -215,7 +216,7 @@ def _codes(white: float) -> str:
 
 
 def _write_exr(
-    at: _At, maps: Maps, planned: Plan, result: Result, displacement: Displacement | None
+    at: _At, maps: Maps, planned: Preset, result: Result, displacement: Displacement | None
 ) -> None:
     file = at("exr/materials.exr", "all maps as layers; normals as vectors, Y up", _LINEAR)
     layers = result.further_layers(), result.whole_layers()
@@ -232,14 +233,16 @@ def _write_exr(
         images.write_exr(file, {"Y": displacement.height})
 
 
-def _write_png(at: _At, maps: Maps, planned: Plan, displacement: Displacement | None) -> None:
+def _write_png(
+    at: _At, maps: Maps, planned: Preset, asked: Bits | None, displacement: Displacement | None
+) -> None:
     for texture in planned.textures:
-        bits = planned.bits or texture.bits
+        bits = asked or texture.bits
         holds, encoding = "; ".join(texture.channels), f"{texture.color_space}; {bits} bits"
         file = at(f"png/{texture.name}.png", holds, encoding)
         images.write_png(file, maps.integers(texture, bits), "srgb" if texture.color else "linear")
     if displacement is not None:
-        bits = planned.bits or 16
+        bits = asked or 16
         limits = f"{displacement.low:.6g} (0) to {displacement.high:.6g}"
         holds = f"height towards the viewer, from {limits} picture widths (white)"
         file = at(f"png/{planned.displacement}.png", holds, f"data, linear; {bits} bits")
@@ -253,7 +256,7 @@ _DATA = "data, linear; float32"
 def _write_manifest(
     path: Path,
     result: Result,
-    planned: Plan,
+    planned: Preset,
     files: tuple[ExportedFile, ...],
     displacement: Displacement | None,
 ) -> None:

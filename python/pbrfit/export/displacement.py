@@ -20,7 +20,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.export.maps import Bits
+from pbrfit.export.maps import Bits, codes
+from pbrfit.io.arrays import Array
 from pbrfit.model.materials import nearest_inside
 from pbrfit.result.result import Result
 from pbrfit.scene.integration import depth_from_normals
@@ -33,7 +34,7 @@ FLAT = 1e-6
 class Displacement:
     """Height towards the viewer; where it is unknown, that of the nearest pixel."""
 
-    height: NDArray[np.float64]
+    height: Array
     """(H, W), picture widths."""
     low: float
     high: float
@@ -66,12 +67,9 @@ class Displacement:
 
     def integers(self, bits: Bits) -> NDArray[Any]:
         """(H, W, 1) uint8 or uint16."""
-        largest = (1 << bits) - 1
-        shares = (self.height - self.low) / (self.high - self.low)
-        codes = np.floor(shares * largest + 0.5)[..., None]
-        return codes.astype(np.uint8 if bits == 8 else np.uint16)
+        return codes((self.height - self.low) / (self.high - self.low), bits)[..., None]
 
     def as_json(self) -> dict[str, Any]:
         """What `export.json` holds under `displacement`."""
-        unit = {"unit": "picture widths", "source": self.source}
-        return unit | {"low": self.low, "high": self.high}
+        facts = {name: getattr(self, name) for name in ("source", "low", "high")}
+        return {"unit": "picture widths", **facts}

@@ -11,14 +11,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit.export.nonnegative import nonnegative_radiance, surface_response
 from pbrfit.io import images
+from pbrfit.io.arrays import Array
 from pbrfit.io.quoting import cell
 from pbrfit.model import panorama
 from pbrfit.model.lighting import Lighting
 from pbrfit.result.result import Result
+from pbrfit.threads import one_blas_thread
 
 HEIGHT = 64
 """Rows of a panorama. Nothing in l ≤ 3 is finer than 20 of them; what linear interpolation between
@@ -45,9 +46,6 @@ class LightPanorama:
 
 def write_lights(folder: Path, result: Result) -> tuple[LightPanorama, ...]:
     """Write all of `FILES` and a panorama a light into an existing folder."""
-    # Imported here: what only writing needs takes long to import.
-    from pbrfit.threads import one_blas_thread
-
     lighting = Lighting(result.pictures, result.lighting, result.lamps)
     response = surface_response(result)
     lighting.save(folder / "lighting.json")
@@ -73,13 +71,13 @@ def write_lights(folder: Path, result: Result) -> tuple[LightPanorama, ...]:
     return tuple(panoramas)
 
 
-def _lamps_as_texels(result: Result) -> dict[str, NDArray[np.float64]]:
+def _lamps_as_texels(result: Result) -> dict[str, Array]:
     """Panoramas of the lamps alone by picture, as the middle of the surface sees them.
 
     A lamp of irradiance E = π · colour is E over a solid angle: it is shared among the four texels
     about its direction, linearly, so that their mean is that direction.
     """
-    found: dict[str, NDArray[np.float64]] = {}
+    found: dict[str, Array] = {}
     if result.lamps is None:
         return found
     angles = panorama.solid_angles(HEIGHT, 2 * HEIGHT)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.io.arrays import Array, Mask
 from pbrfit.io.color import encode_srgb
 from pbrfit.model.materials import nearest_inside
 from pbrfit.result.result import Result
@@ -44,16 +45,16 @@ class Texture:
 class Maps:
     """The maps of a result; outside the mask they hold the values of the nearest pixel inside."""
 
-    albedo: NDArray[np.float64]
+    albedo: Array
     """(H, W, 3), linear Rec.709."""
-    roughness: NDArray[np.float64]
-    metallic: NDArray[np.float64]
+    roughness: Array
+    metallic: Array
     """(H, W)."""
-    normals: NDArray[np.float64]
+    normals: Array
     """(H, W, 3), unit vectors in camera space, Y up."""
-    mask: NDArray[np.bool_]
+    mask: Mask
     """(H, W) bool."""
-    deviation: NDArray[np.float64] | None = None
+    deviation: Array | None = None
     """(H, W, 5): standard deviations of the first three, of results that have them."""
 
     @classmethod
@@ -63,8 +64,8 @@ class Maps:
             raise InputError("mask: expected at least one pixel in it, found none")
         nearest = nearest_inside(result.mask)
 
-        def filled(name: str, values: NDArray[Any]) -> NDArray[np.float64]:
-            found: NDArray[np.float64] = np.asarray(values, dtype=np.float64)[nearest]
+        def filled(name: str, values: NDArray[Any]) -> Array:
+            found: Array = np.asarray(values, dtype=np.float64)[nearest]
             if not np.isfinite(found).all():
                 raise InputError(
                     f"{name}: expected finite values inside the mask, found NaN or infinity"
@@ -94,14 +95,18 @@ class Maps:
         values = np.clip(self._stacked(texture), 0.0, 1.0)
         if texture.color:
             values[..., :3] = encode_srgb(values[..., :3])
-        largest = (1 << bits) - 1
-        return np.floor(values * largest + 0.5).astype(np.uint8 if bits == 8 else np.uint16)
+        return codes(values, bits)
 
-    def _stacked(self, texture: Texture) -> NDArray[np.float64]:
+    def _stacked(self, texture: Texture) -> Array:
         return np.stack([CHANNELS[name](self) for name in texture.channels], axis=-1)
 
 
-def _deviation(channel: int, maps: Maps) -> NDArray[np.float64]:
+def codes(values: Array, bits: Bits) -> NDArray[Any]:
+    """Values from 0 to 1 as uint8 or uint16, spread over all codes."""
+    return np.floor(values * ((1 << bits) - 1) + 0.5).astype(np.uint8 if bits == 8 else np.uint16)
+
+
+def _deviation(channel: int, maps: Maps) -> Array:
     assert maps.deviation is not None
     return maps.deviation[..., channel]
 
@@ -110,7 +115,7 @@ BASE_COLOR_DEVIATION = tuple(f"deviation of linear base color {c}" for c in "RGB
 
 DEVIATIONS = (*BASE_COLOR_DEVIATION, "deviation of roughness", "deviation of metallic")
 
-CHANNELS: dict[str, Callable[[Maps], NDArray[np.float64]]] = {
+CHANNELS: dict[str, Callable[[Maps], Array]] = {
     "base color R": lambda maps: maps.albedo[..., 0],
     "base color G": lambda maps: maps.albedo[..., 1],
     "base color B": lambda maps: maps.albedo[..., 2],

@@ -20,20 +20,15 @@ With M = S Sᵀ and μ = S ν that is the minimum of a convex function of 16 unk
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit.fit.sampling import evenly_spaced
+from pbrfit.io.arrays import Array
 from pbrfit.model import panorama
 from pbrfit.model.geometry import view_directions
 from pbrfit.model.reflection import sh_basis, shade
-
-if TYPE_CHECKING:
-    from pbrfit.result.result import Result
-
-Array = NDArray[np.float64]
+from pbrfit.result.result import Result
 
 PIXELS = 4096
 """Number of pixels that stand for all in M, whose 136 numbers need no more."""

@@ -89,23 +89,6 @@ PRESETS: dict[PresetName, Preset] = {
 }
 
 
-@dataclass(frozen=True)
-class Plan:
-    """What an export writes, lights apart."""
-
-    formats: tuple[Format, ...]
-    normals: NormalConvention
-    """Convention of normal maps; that of glTF is fixed."""
-    textures: tuple[Texture, ...]
-    """Files of PNG and EXR."""
-    bits: Bits | None
-    """Of all integer textures; None = each its own."""
-    geometry: Geometry = "card"
-    """Of glTF."""
-    displacement: str = "displacement"
-    """Name of the texture with the height."""
-
-
 def plan(
     *,
     format: Format | None = None,  # noqa: A002
@@ -115,12 +98,11 @@ def plan(
     geometry: Geometry | None = None,
     masked: bool = False,
     uncertain: bool = False,
-) -> Plan:
-    """What to write, from what was asked for.
+) -> Preset:
+    """What to write, lights apart, from what was asked for: all of its textures are files.
 
-    `masked`: the mask leaves pixels out; `uncertain`: there are deviations.
-
-    Raises InputError if an option is unknown, or would have no effect beside the others.
+    `masked`: the mask leaves pixels out; `uncertain`: there are deviations. Raises InputError if an
+    option is unknown, or would have no effect beside the others.
     """
     for name, value, kind in (
         ("format", format, Format),
@@ -167,5 +149,4 @@ def plan(
     elif masked and isinstance(chosen.opacity, Texture):
         textures.append(chosen.opacity)
     textures += chosen.deviations if uncertain else ()
-    name = chosen.displacement
-    return Plan(formats, convention, tuple(textures), bits, geometry or "card", name)
+    return replace(chosen, formats=formats, normals=convention, textures=tuple(textures))

@@ -22,17 +22,15 @@ from collections.abc import Callable
 from pathlib import PurePosixPath
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.io.arrays import Array, Codes, Mask
 from pbrfit.io.color import encode_srgb
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import sh_basis
 from pbrfit.result import metrics
 from pbrfit.result.relighting import relight
 from pbrfit.result.result import Result
-
-Array = NDArray[np.float64]
 
 LP_FILE = "lamps.lp"
 LP_HOLDS = "directions to the lamps, X right, Y up, Z to the viewer, by picture file"
@@ -105,8 +103,18 @@ def ptm(result: Result) -> tuple[bytes, float]:
     color = np.divide(mean, largest, out=np.ones_like(mean), where=largest > 0)
     # Of all channels' polynomials the multiple of the colour that is closest to them.
     along = color / np.square(color).sum(axis=-1, keepdims=True)
-    coefficients = 255 * np.einsum("kpc,pc->kp", fitted, along)
-    return _file(coefficients, color, result.mask), white
+    codes, scales, biases = _coded(255 * np.einsum("kpc,pc->kp", fitted, along))
+    height, width = result.mask.shape
+    head = [
+        *("PTM_1.2", "PTM_FORMAT_LRGB", str(width), str(height)),
+        " ".join(f"{scale:.9f}" for scale in scales),
+        " ".join(f"{bias:.0f}" for bias in biases),
+        "",
+    ]
+    brightness = _placed(codes.T, np.clip(biases, 0, 255), result.mask)
+    colors = _placed(np.rint(255 * color), np.zeros(3), result.mask)
+    rows_from_below = brightness[::-1].tobytes() + colors[::-1].tobytes()
+    return "\n".join(head).encode("ascii") + rows_from_below, white
 
 
 def _fitted(result: Result, terms: Callable[[Array], Array]) -> tuple[Array, Array, float]:
@@ -176,14 +184,12 @@ def openlime(result: Result) -> tuple[dict[str, bytes], float]:
     return files, white
 
 
-def _planes(result: Result) -> tuple[NDArray[np.uint8], Array, Array, float]:
+def _planes(result: Result) -> tuple[Codes, Array, Array, float]:
     """Codes (H, W, 9, 3) of hemispherical harmonics, steps and zeros (9,) as of `_coded`, white."""
     coefficients, _, white = _fitted(result, harmonics)
     of_pixels, steps, zeros = _coded(coefficients.reshape(9, -1))
-    codes = np.empty((*result.mask.shape, 9, 3), np.uint8)
-    codes[:] = zeros[:, None]
-    codes[result.mask] = np.moveaxis(of_pixels.reshape(coefficients.shape), 0, 1)
-    return codes, steps, zeros, white
+    of_pixels = np.moveaxis(of_pixels.reshape(coefficients.shape), 0, 1)
+    return _placed(of_pixels, zeros[:, None], result.mask), steps, zeros, white
 
 
 def directions() -> Array:
@@ -216,23 +222,12 @@ def _coded(coefficients: Array) -> tuple[Array, Array, Array]:
     return np.clip(codes, 0, 255), steps, zeros
 
 
-def _file(coefficients: Array, color: Array, inside: NDArray[np.bool_]) -> bytes:
-    """Of coefficients (6, P) in codes of brightness and colours (P, 3) from 0 to 1."""
-    codes, scales, biases = _coded(coefficients)
-    height, width = inside.shape
-    blocks = []
-    for values, outside in ((codes.T, biases), (np.rint(255 * color), np.zeros(3))):
-        block = np.empty((height, width, values.shape[-1]), np.uint8)
-        block[:] = np.clip(outside, 0, 255)
-        block[inside] = values
-        blocks.append(block[::-1].tobytes())  # rows from below
-    head = [
-        *("PTM_1.2", "PTM_FORMAT_LRGB", str(width), str(height)),
-        " ".join(f"{scale:.9f}" for scale in scales),
-        " ".join(f"{bias:.0f}" for bias in biases),
-        "",
-    ]
-    return "\n".join(head).encode("ascii") + b"".join(blocks)
+def _placed(codes: Array, outside: Array, mask: Mask) -> Codes:
+    """(H, W, ...): codes (P, ...) of the pixels in the mask, and those of all others."""
+    found = np.empty((*mask.shape, *codes.shape[1:]), np.uint8)
+    found[:] = outside
+    found[mask] = codes
+    return found
 
 
 FILES = {

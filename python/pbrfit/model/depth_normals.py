@@ -10,12 +10,10 @@ import math
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.io.arrays import Array, Mask
 from pbrfit.model import geometry
-
-Array = NDArray[np.float64]
 
 FACING = np.array([0.0, 0.0, 1.0])
 """The normal of a surface that faces the viewer: of all pixels that have none."""
@@ -38,7 +36,7 @@ Gaussian noise 6 medians are 4 standard deviations."""
 
 def from_depth(
     depth: Array, *, fov: float, kind: DepthKind = "z", view_width: float | None = None
-) -> tuple[Array, NDArray[np.bool_]]:
+) -> tuple[Array, Mask]:
     """Unit normals of the surface that a depth map describes; they all face the camera.
 
     Pixel (i, j) looks along r = (x, y, -1) with x = (2i + 1 - W)/W t, y = (H - 1 - 2j)/W t and

@@ -7,10 +7,9 @@ beside it, is what is recovered of pictures: it ends at l = 3.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
 from pbrfit._core import InputError
+from pbrfit.io.arrays import Array
 from pbrfit.io.checks import finite, real_array
 from pbrfit.io.color import ColorSpace
 from pbrfit.lazy import lazy
@@ -26,7 +26,6 @@ from pbrfit.model.lighting import rotated
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import (
     DEFAULT_MODEL,
-    Array,
     Model,
     View,
     checked_model,
@@ -88,7 +87,7 @@ class Environment:
     def turned(self, degrees: float) -> Environment:
         """The light turned further about +Y; what is made of its pixels is kept."""
         _ = self.blurred  # which both then share
-        further = dataclasses.replace(self, rotate=self.rotate + degrees)
+        further = replace(self, rotate=self.rotate + degrees)
         vars(further).update(
             {k: v for k, v in vars(self).items() if k in ("blurred", "_projected")}
         )

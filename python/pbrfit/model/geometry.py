@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.io.arrays import Array, Floats, Mask
 from pbrfit.io.checks import real_number
 
 FOV_MIN = 1e-3
@@ -40,7 +41,7 @@ def view_directions(
     return views_at((height, width), fov, np.arange(width)[columns], np.arange(height)[rows, None])
 
 
-def views_at(size: tuple[int, int], fov: float, columns: Any, rows: Any) -> NDArray[np.float64]:
+def views_at(size: tuple[int, int], fov: float, columns: Any, rows: Any) -> Array:
     """Those vectors (..., 3) at places of a picture of `size` (height, width), also between pixels.
 
     `columns` and `rows` (...) are x and y in pixels; the centre of the first pixel is at 0, 0.
@@ -53,7 +54,7 @@ def views_at(size: tuple[int, int], fov: float, columns: Any, rows: Any) -> NDAr
     return np.stack([-x / length, -y / length, 1 / length], axis=-1)
 
 
-def positions(depth: NDArray[Any], fov: float, rows: slice = slice(None)) -> NDArray[np.float64]:
+def positions(depth: NDArray[Any], fov: float, rows: slice = slice(None)) -> Array:
     """Points that pixels show, from their depth (height, width) along the camera's axis.
 
     Returns (height, width, 3) float64, or some rows, camera space, in the unit of the depth, with
@@ -85,14 +86,12 @@ def fov_from_focal_length(focal_length_35mm: float, height: int, width: int) -> 
     return math.degrees(2 * math.atan(half_width / focal_length_35mm))
 
 
-def facing_away(normals: NDArray[Any], views: NDArray[Any]) -> NDArray[np.bool_]:
+def facing_away(normals: NDArray[Any], views: NDArray[Any]) -> Mask:
     """Which pixels' normals point away from the camera, n·v <= 0: (...,) from two (..., 3)."""
     return np.asarray(np.einsum("...i,...i->...", normals, views) <= 0)
 
 
-def angles_between(
-    found: NDArray[np.floating[Any]], true: NDArray[np.floating[Any]]
-) -> NDArray[np.float64]:
+def angles_between(found: Floats, true: Floats) -> Array:
     """Angle between unit vectors (..., 3), (...,) in degrees; NaN stays NaN.
 
     2 asin(|n - n'| / 2): arccos of n·n' would lose half of the digits of small angles.

@@ -21,11 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.io.arrays import Array, Mask
 from pbrfit.io.checks import reals
 from pbrfit.io.json_files import as_json
 from pbrfit.io.lamp_files import LampRow
-
-Array = NDArray[np.float64]
 
 UNIT = 1e-5
 """Largest difference of a direction's length from 1."""
@@ -41,7 +40,7 @@ class Lamps:
     """(K, 3), camera space (X right, Y up, Z towards the viewer): of far lamps the unit vector from
     the scene to the lamp; of near ones where they are, in the unit of the scene's depth, the camera
     at 0."""
-    near: NDArray[np.bool_] = field(default=None)  # type: ignore[arg-type]
+    near: Mask = field(default=None)  # type: ignore[arg-type]
     """(K,) bool."""
     colors: Array = field(default=None)  # type: ignore[arg-type]
     """(K, 3), linear Rec.709, 0 or more: radiance of a white diffuse surface that faces the lamp,
@@ -59,18 +58,17 @@ class Lamps:
         if count and (pictures.min() < 0 or (np.diff(pictures) < 0).any()):
             raise InputError("lamps: expected indices of pictures in rising order, from 0")
         near = np.zeros(count, bool) if self.near is None else np.asarray(self.near, bool)
-        axes = np.tile([0.0, 0.0, -1.0], (count, 1)) if self.axes is None else self.axes
-        values: dict[str, Any] = {
-            "places": (self.places, (count, 3)),
-            "colors": (np.full((count, 3), np.nan) if self.colors is None else self.colors, None),
-            "axes": (axes, (count, 3)),
-            "exponents": (np.zeros(count) if self.exponents is None else self.exponents, (count,)),
+        defaults: dict[str, Any] = {
+            "places": np.zeros((count, 3)),
+            "colors": np.full((count, 3), np.nan),
+            "axes": np.tile([0.0, 0.0, -1.0], (count, 1)),
+            "exponents": np.zeros(count),
         }
-        for name, (given, shape) in values.items():
-            array = reals(f"lamps: {name}", given).astype(np.float64)
-            expected = (count, 3) if shape is None else shape
-            if array.shape != expected:
-                raise InputError(f"lamps: expected {name} {expected}, found {array.shape}")
+        for name, default in defaults.items():
+            given = getattr(self, name)
+            array = reals(f"lamps: {name}", default if given is None else given).astype(np.float64)
+            if array.shape != default.shape:
+                raise InputError(f"lamps: expected {name} {default.shape}, found {array.shape}")
             if name != "colors" and not np.isfinite(array).all():
                 raise InputError(f"lamps: expected finite {name}, found NaN or infinity")
             object.__setattr__(self, name, array)

@@ -109,18 +109,6 @@ class Lighting:
             )
         return self.coefficients[[self.pictures.index(name) for name in pictures]]
 
-    def lamps_of(self, pictures: Sequence[str]) -> Lamps | None:
-        """Lamps of some pictures, which are counted in this order; None if there are none at all.
-
-        Raises InputError if a name is none of `Lighting.pictures`.
-        """
-        if self.lamps is None:
-            return None
-        missing = [name for name in pictures if name not in self.pictures]
-        if missing:
-            raise InputError(f"lamps: expected names of pictures with light, found {missing[0]}")
-        return self.lamps.of_pictures([self.pictures.index(name) for name in pictures])
-
 
 def _listed(content: Mapping[str, Any]) -> list[Any] | None:
     """What stands under `lamps`, in files of version 2; one of `UNFIT` if that does not fit."""

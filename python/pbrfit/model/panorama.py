@@ -13,16 +13,16 @@ from __future__ import annotations
 
 import logging
 import os
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io import images
+from pbrfit.io.arrays import Array, Floats
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.limits import AT_LEAST
-from pbrfit.model.lighting import BAND_OF, rotated
+from pbrfit.model.lighting import BAND_OF
 from pbrfit.model.reflection import sh_basis
 
 log = logging.getLogger("pbrfit")
@@ -38,7 +38,7 @@ NEGATIVE_MAX = 1 / 255
 """Share of a panorama's light that may be negative, and is taken for 0: a code of 8 bits."""
 
 
-def directions(height: int, width: int, rows: slice = slice(None)) -> NDArray[np.float64]:
+def directions(height: int, width: int, rows: slice = slice(None)) -> Array:
     """Where the light of each pixel, in some rows, comes from: (h, width, 3) unit vectors."""
     around = 2 * np.pi * ((np.arange(width) + 0.5) / width - 0.5)
     up = np.pi * (0.5 - (np.arange(height)[rows] + 0.5) / height)[:, None]
@@ -48,7 +48,7 @@ def directions(height: int, width: int, rows: slice = slice(None)) -> NDArray[np
     )
 
 
-def solid_angles(height: int, width: int) -> NDArray[np.float64]:
+def solid_angles(height: int, width: int) -> Array:
     """Solid angle that a pixel of each row stands for, in steradians: (height,).
 
     All pixels together have 4π. These are the weights of Fejér's first rule, whose nodes are the
@@ -85,7 +85,37 @@ def read(
     Rec.709 hold are negative in Rec.709 and welcome. Raises OSError if the file cannot be read.
     """
     picture = images.read_picture(path, color_space)
-    pixels = _mended(picture, str(path))
+    pixels = picture.pixels
+    height, width = pixels.shape[:2]
+    if width != 2 * height:
+        raise InputError(
+            f"{path}: expected a panorama twice as wide as high (equirectangular), "
+            f"found {width} × {height}"
+        )
+    infinite = np.isposinf(pixels)
+    below = picture.negative[..., None] & (pixels < 0)
+    light = solid_angles(height, width)[:, None, None] * np.where(infinite, 0, pixels)
+    too_much = -light[below].sum() > NEGATIVE_MAX * np.abs(light).sum()
+    for wrong, what in (
+        ((~np.isfinite(pixels) & ~infinite).any(axis=-1) | infinite.all(), "NaN or infinity"),
+        (picture.negative & too_much, "negative radiance"),
+    ):
+        if len(places := np.argwhere(wrong)):
+            raise InputError(
+                f"{path}: expected finite radiance of 0 or more, found {what} in {len(places)} "
+                f"pixels, the first in column {places[0, 1]} of row {places[0, 0]}"
+            )
+    if height < FEWEST_ROWS:
+        raise InputError(
+            f"{path}: expected a panorama of {2 * FEWEST_ROWS} × {FEWEST_ROWS} pixels or more, "
+            f"found {width} × {height}"
+        )
+    most = max(float(pixels[~infinite].max()), float(np.finfo(np.float16).max))
+    for wrong, what, value in ((infinite, "infinite", most), (below, "negative", 0.0)):
+        if wrong.any():
+            pixels[wrong] = value
+            count = np.count_nonzero(wrong.any(axis=-1))
+            log.warning("%s: %d pixels are %s, taken for %g", path, count, what, value)
     clipped = picture.limits is not None and (picture.limits == AT_LEAST).any(axis=-1)
     if np.any(clipped):
         log.warning(
@@ -97,51 +127,10 @@ def read(
     return pixels
 
 
-def _mended(picture: images.Picture, name: str) -> NDArray[np.float32]:
-    pixels = picture.pixels
-    height, width = pixels.shape[:2]
-    if width != 2 * height:
-        raise InputError(
-            f"{name}: expected a panorama twice as wide as high (equirectangular), "
-            f"found {width} × {height}"
-        )
-    infinite = np.isposinf(pixels)
-    unsound = (~np.isfinite(pixels) & ~infinite).any(axis=-1) | infinite.all()
-    _refuse_where(unsound, "NaN or infinity", name)
-    below = picture.negative[..., None] & (pixels < 0)
-    light = solid_angles(height, width)[:, None, None] * np.where(infinite, 0, pixels)
-    too_much = -light[below].sum() > NEGATIVE_MAX * np.abs(light).sum()
-    _refuse_where(picture.negative & too_much, "negative radiance", name)
-    if height < FEWEST_ROWS:
-        raise InputError(
-            f"{name}: expected a panorama of {2 * FEWEST_ROWS} × {FEWEST_ROWS} pixels or more, "
-            f"found {width} × {height}"
-        )
-    most = max(float(pixels[~infinite].max()), float(np.finfo(np.float16).max))
-    for wrong, what, value in ((infinite, "infinite", most), (below, "negative", 0.0)):
-        if wrong.any():
-            pixels[wrong] = value
-            count = np.count_nonzero(wrong.any(axis=-1))
-            log.warning("%s: %d pixels are %s, taken for %g", name, count, what, value)
-    return pixels
+def project(pixels: Floats) -> Array:
+    """SH light (16, 3) that comes nearest to a panorama: L_k = ∫ E Y_k dω.
 
-
-def _refuse_where(wrong: ArrayLike, what: str, name: str) -> None:
-    places = np.argwhere(wrong)
-    if len(places):
-        raise InputError(
-            f"{name}: expected finite radiance of 0 or more, found {what} in {len(places)} pixels, "
-            f"the first in column {places[0, 1]} of row {places[0, 0]}"
-        )
-
-
-def project(pixels: NDArray[np.floating[Any]], rotate: float = 0.0) -> NDArray[np.float64]:
-    """SH light that comes nearest to a panorama.
-
-    Returns (16, 3): L_k = ∫ E Y_k dω.
-
-    Pixels are (H, W, 3), linear Rec.709 radiance; the light is turned by `rotate` degrees about +Y,
-    from +Z towards +X.
+    Pixels are (H, W, 3), linear Rec.709 radiance.
     """
     height, width = pixels.shape[:2]
     weights = solid_angles(height, width)
@@ -152,10 +141,10 @@ def project(pixels: NDArray[np.floating[Any]], rotate: float = 0.0) -> NDArray[n
         basis = sh_basis(directions(height, width, rows))
         weighted = pixels[rows] * weights[rows, None, None]
         light += np.tensordot(basis, weighted, axes=((0, 1), (0, 1)))
-    return rotated(light, rotate)
+    return light
 
 
-def radiance(coefficients: ArrayLike, height: int) -> NDArray[np.float64]:
+def radiance(coefficients: ArrayLike, height: int) -> Array:
     """An SH light (16, 3) as a panorama (height, 2 height, 3); it may be negative in places."""
     return np.asarray(sh_basis(directions(height, 2 * height)) @ np.asarray(coefficients))
 
@@ -169,7 +158,7 @@ DARKEST_HEIGHT = 64
 """Rows of the panorama that negative light is looked for in; l = 3 has no detail finer than 20."""
 
 
-def nonnegative(coefficients: ArrayLike) -> NDArray[np.float64]:
+def nonnegative(coefficients: ArrayLike) -> Array:
     """SH light (16, 3) damped until it is nowhere negative; the mean light stays.
 
     A lamp cut off at l = 3 is surrounded by rings, negative ones among them. Band l is divided by
@@ -181,7 +170,7 @@ def nonnegative(coefficients: ArrayLike) -> NDArray[np.float64]:
     light = np.asarray(coefficients, dtype=np.float64)
     bands = (BAND_OF * (BAND_OF + 1.0)) ** 2
 
-    def damped(strength: float) -> NDArray[np.float64]:
+    def damped(strength: float) -> Array:
         return np.asarray(light / (1 + strength * bands)[:, None])
 
     mean = light[0].max(initial=0.0)

@@ -15,12 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
 from pbrfit._core import InputError
+from pbrfit.io.arrays import Array, Floats, Mask
 from pbrfit.io.checks import of_what, real_array
 from pbrfit.model.geometry import positions, view_directions
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
-
-Array = NDArray[np.float64]
 
 Model = Literal["paper", "principled"]
 """How surfaces reflect light: "paper", its eqs. 1-12 with eq. 12 for the mirror-like part;
@@ -236,13 +235,13 @@ def checked_lighting(lighting: ArrayLike) -> Array:
 
 def render_rows(
     materials: Materials,
-    normals: NDArray[np.floating[Any]],
-    lighting: NDArray[np.float64],
+    normals: Floats,
+    lighting: Array,
     fov: float,
     rows: slice,
     threads: int,
     model: Model,
-) -> NDArray[np.float64]:
+) -> Array:
     """Some rows of what `render` gives for lights (N, 16, 3): (N, rows, W, 3)."""
     part = Materials(materials.albedo[rows], materials.roughness[rows], materials.metallic[rows])
     height, width = materials.roughness.shape
@@ -261,7 +260,7 @@ def render_directional(
     *,
     model: Model = DEFAULT_MODEL,
     extents: ArrayLike | None = None,
-) -> NDArray[np.float64]:
+) -> Array:
     """Radiance of a view under light from single directions, with the full reflection model.
 
     For "paper" its eqs. 1 and 3-5 without the approximations that SH light needs; for "principled"
@@ -304,7 +303,7 @@ def render_lamps(
     model: Model = DEFAULT_MODEL,
     visibility: ArrayLike | None = None,
     radius: float = 0.0,
-) -> NDArray[np.float64]:
+) -> Array:
     """Radiance (N, H, W, 3) of a view under the lamps of each picture, and ambient light.
 
     Of a lamp, what reaches a pixel, times π f_r (n·l); of ambient light what `render` gives, as
@@ -363,7 +362,7 @@ class View:
     width: int
     pixels: tuple[Array, Array, Array, Array, Array]
     """Normals, views, albedo, roughness and metallic of these pixels, in rows."""
-    of: slice | NDArray[np.bool_]
+    of: slice | Mask
     """Which of the picture's pixels they are."""
 
     @classmethod
@@ -381,7 +380,7 @@ class View:
         roughness = _array("roughness", materials.roughness, (height, width))
         metallic = _array("metallic", materials.metallic, (height, width))
         n = _array("normals", normals, (height, width, 3))
-        of: slice | NDArray[np.bool_] = slice(None)
+        of: slice | Mask = slice(None)
         if not all(np.isfinite(given).all() for given in (albedo, roughness, metallic, n)):
             used = np.isfinite(albedo).all(-1) & np.isfinite(n).all(-1)
             of = (used & np.isfinite(roughness) & np.isfinite(metallic)).reshape(-1)
@@ -416,7 +415,7 @@ class View:
         extents = np.full(len(toward), extent) if np.any(extent) else None
         return _core.lamp_radiance(*self.pixels, toward, threads, model, extents)[:, 0] * color
 
-    def pictures(self, rendered: NDArray[np.float64]) -> NDArray[np.float64]:
+    def pictures(self, rendered: Array) -> Array:
         """(N, H, W, 3) from (N, P, 3) radiance of the pixels; NaN elsewhere."""
         images = rendered = rendered.reshape(len(rendered), len(self.pixels[0]), 3)
         if not isinstance(self.of, slice):
@@ -447,7 +446,7 @@ _TRAILING: dict[str, tuple[int, ...]] = {
 """Last dimensions of each argument that is given per pixel."""
 
 
-def _array(name: str, values: ArrayLike, trailing: tuple[int, ...]) -> NDArray[np.float64]:
+def _array(name: str, values: ArrayLike, trailing: tuple[int, ...]) -> Array:
     """As a float64 array whose last dimensions are `trailing`, or InputError naming it."""
     array = real_array(name, values)
     if array.shape[max(array.ndim - len(trailing), 0) :] != trailing:
@@ -456,7 +455,7 @@ def _array(name: str, values: ArrayLike, trailing: tuple[int, ...]) -> NDArray[n
     return array
 
 
-def _pixels(**arguments: ArrayLike) -> tuple[tuple[int, ...], list[NDArray[np.float64]]]:
+def _pixels(**arguments: ArrayLike) -> tuple[tuple[int, ...], list[Array]]:
     """Broadcast the leading dimensions against each other: that shape, and the arrays flattened."""
     arrays = {name: _array(name, values, _TRAILING[name]) for name, values in arguments.items()}
     leading = [a.shape[: a.ndim - len(_TRAILING[name])] for name, a in arrays.items()]

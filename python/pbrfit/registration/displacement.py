@@ -23,11 +23,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.io.arrays import Array, Floats, Mask
 from pbrfit.io.resampling import averaged_channels, averaged_where
 from pbrfit.registration import alignment
 from pbrfit.scene.scene import Scene
 
-Array = NDArray[np.float64]
 Size = tuple[int, int]
 
 LEAST_DISPLACEMENT = 0.2
@@ -147,7 +147,7 @@ class Level:
         flat = self._values.reshape(len(self._values), -1)
         self._products[i] = self._products[:, i] = flat @ flat[i]
 
-    def _cut(self, i: int, affine: Array | None) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    def _cut(self, i: int, affine: Array | None) -> tuple[NDArray[np.float32], Mask]:
         """Blurred windows (n, h, w) of a picture, of RMS 1, and which of the P pixels hold data."""
         from scipy.ndimage import gaussian_filter, map_coordinates
 
@@ -237,7 +237,7 @@ class Level:
             unexplained=unexplained,
         )
 
-    def _common(self, i: int, others: Sequence[int]) -> tuple[list[int], NDArray[np.bool_]]:
+    def _common(self, i: int, others: Sequence[int]) -> tuple[list[int], Mask]:
         """The others that have pixels in common with picture i, and which these are."""
         own, kept = self._used[i], sorted(others)
         used = own & self._used[kept].all(axis=0)
@@ -275,9 +275,9 @@ class Greys:
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self.count, self.shape = len(scene.images), scene.valid.shape
-        self._kept: dict[tuple[int, tuple[int, int]], tuple[NDArray[Any], NDArray[np.bool_]]] = {}
+        self._kept: dict[tuple[int, tuple[int, int]], tuple[NDArray[Any], Mask]] = {}
 
-    def of(self, i: int, size: tuple[int, int]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    def of(self, i: int, size: tuple[int, int]) -> tuple[NDArray[Any], Mask]:
         """Picture i of a size (h, w); 0 where it holds no data."""
         if (i, size) in self._kept:
             return self._kept[i, size]
@@ -300,7 +300,7 @@ class Greys:
             self._kept[i, size] = grey, used
         return grey, used
 
-    def normals(self, size: tuple[int, int]) -> NDArray[np.floating[Any]]:
+    def normals(self, size: tuple[int, int]) -> Floats:
         """(h, w, 3); NaN or 0 where there are none."""
         normals = self._scene.normals
         return normals if size == self.shape else averaged_channels(np.nan_to_num(normals), size)

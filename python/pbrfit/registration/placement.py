@@ -18,6 +18,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.io.arrays import Array, Codes, Mask
 from pbrfit.io.resampling import reduced_size
 from pbrfit.model.materials import nearest_inside
 from pbrfit.registration import alignment
@@ -36,7 +37,6 @@ from pbrfit.threads import in_pieces, one_blas_thread
 
 log = logging.getLogger("pbrfit")
 
-Array = NDArray[np.float64]
 Stop = Callable[[], bool]
 
 COARSE_SIDE, SCREENING_SIDE = 128, 64
@@ -415,7 +415,7 @@ def put_back(scene: Scene, registration: Registration) -> Scene:
 
 
 def _resampled(
-    image: NDArray[Any], used: NDArray[np.bool_], weights: NDArray[np.float32], affine: Array
+    image: NDArray[Any], used: Mask, weights: NDArray[np.float32], affine: Array
 ) -> tuple[NDArray[Any], NDArray[np.float32]]:
     """Picture and weights (H, W, 3) at x + u(x); what unused values have a part in weighs 0."""
     from scipy.ndimage import map_coordinates
@@ -441,7 +441,7 @@ def _resampled(
     return moved.astype(image.dtype), np.where(inside & ~unused, near, 0).astype(np.float32)
 
 
-def _touched(kinds: NDArray[np.uint8], affine: Array) -> NDArray[np.uint8]:
+def _touched(kinds: Codes, affine: Array) -> Codes:
     """Largest kind (H, W, C) among the four samples around x + u(x)."""
     places, last = _displaced(kinds.shape[:2], affine), np.array(kinds.shape[:2]) - 1
     before, after = (

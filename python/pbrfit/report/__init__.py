@@ -51,5 +51,5 @@ def write_report(
     if path.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{path}: expected a name that ends with .html, found {path.name!r}")
     with new_file(path, overwrite=overwrite) as file:
-        content = page(result, originals.find(result, scene))
+        content = page(result, *originals.find(result, scene))
         file.write_text(content, encoding="utf-8")

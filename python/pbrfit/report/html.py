@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from string import Template
 from typing import Literal
 
 from pbrfit.io.quoting import visible
@@ -76,25 +77,21 @@ def document(
 
     `within` are the scripts that stand in the body; no other runs there. A body of its own `look`,
     a class of `style`, has the theme's button in its own place. Letters that turn the direction of
-    writing, and controls, are shown as \ufffd.
+    writing, and controls, are shown as \ufffd. In `page.html` the theme's script comes first of
+    all, so that no page is shown in the other theme before, and an empty icon, or a browser would
+    look for one beside the page.
     """
-    of_theme = text_of("theme.js")
-    scripts = [of_theme, *within, *([script] if script else [])]
-    head = [
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">',
-        f'<meta http-equiv="Content-Security-Policy" content="{policy(scripts)}">',
-        '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        # No icon: a browser would look for one beside the page.
-        f'<title>{escape(visible(title))}</title>\n<link rel="icon" href="data:,">',
-        # First of all, so that no page is shown in the other theme before.
-        f"<script>{of_theme}</script>",
-        f"<style>{text_of('themes.css')}{text_of('base.css')}{style}</style>\n</head>",
-        f'<body class="{look}">'
-        if look
-        else f'<body>\n<div class="page-theme">{THEME_BUTTON}</div>',
-    ]
-    tail = [f"<script>{script}</script>"] if script else []
-    return "\n".join([*head, visible(body), *tail, "</body>\n</html>\n"])
+    theme, own = text_of("theme.js"), [script] if script else []
+    bare = f'<body>\n<div class="page-theme">{THEME_BUTTON}</div>'
+    return Template(text_of("page.html")).substitute(
+        policy=policy([theme, *within, *own]),
+        title=escape(visible(title)),
+        theme=theme,
+        style=text_of("themes.css") + text_of("base.css") + style,
+        opened=f'<body class="{look}">' if look else bare,
+        body=visible(body),
+        script="".join(f"<script>{one}</script>\n" for one in own),
+    )
 
 
 def policy(scripts: Sequence[str]) -> str:

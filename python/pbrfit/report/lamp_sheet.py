@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit.display.tone import encoded
+from pbrfit.io.arrays import Array, Floats, Mask
 from pbrfit.result import metrics
 from pbrfit.result.drawing import BLACK, BLUE, GREY, ORANGE, as_png, new_figure
 from pbrfit.scene.ball import Ball
@@ -32,18 +32,16 @@ LONGEST_LABEL = 14
 class ShownBalls:
     """Where lamps were found."""
 
-    picture: NDArray[np.floating[Any]]
+    picture: Floats
     """(H, W, 3), linear Rec.709: the mean of all pictures."""
     balls: Sequence[Ball]
-    highlights: NDArray[np.float64]
+    highlights: Array
     """(K, B, 2): x and y of what each lamp makes on each ball, NaN where that is not seen."""
     what: str
     """What stands there: "highlights" or "where it faces the lamp"."""
 
 
-def preview(
-    names: Sequence[str], directions: NDArray[np.float64], shown: ShownBalls | None
-) -> bytes:
+def preview(names: Sequence[str], directions: Array, shown: ShownBalls | None) -> bytes:
     """PNG of lamps: on their balls, where there are some, and by direction.
 
     `names` are of the pictures that the lamps light, `directions` (K, 3) the unit vectors to them.
@@ -117,10 +115,7 @@ def _draw_balls(axes: Axes, labels: Sequence[str], shown: ShownBalls) -> None:
 
 
 def draw_directions(
-    axes: Axes,
-    labels: Sequence[str],
-    directions: NDArray[np.float64],
-    near: NDArray[np.bool_] | None = None,
+    axes: Axes, labels: Sequence[str], directions: Array, near: Mask | None = None
 ) -> None:
     """Draw unit vectors to lamps (K, 3) as the viewer sees them, an azimuthal equidistant map.
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit.io.arrays import Array
 from pbrfit.report import figures, lamp_sheet
 from pbrfit.report.html import Cell, Table, heads, number, paragraph, table
 from pbrfit.report.lights import LUMINANCE
@@ -16,8 +16,6 @@ from pbrfit.report.notation import angle, percent, plain
 from pbrfit.result.drawing import new_figure
 from pbrfit.result.result import Result
 from pbrfit.scene import known_lamps
-
-Array = NDArray[np.float64]
 
 BESIDE = 24
 """Lamps up to which the table stands beside the map; a longer one is folded below it."""

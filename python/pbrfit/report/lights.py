@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit.display.tone import encoded
+from pbrfit.io.arrays import Array
 from pbrfit.model import panorama
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model, render
@@ -46,7 +46,7 @@ class Light:
     """Share of the positive light (as luminance) that negative radiance takes away again."""
 
 
-def measure(coefficients: NDArray[np.float64]) -> Light:
+def measure(coefficients: Array) -> Light:
     """Sum up a light (16, 3).
 
     Light of luminance E from one direction d has L_k = E Y_k(d), so band 1 is E √(3/4π) d, and its
@@ -74,9 +74,7 @@ def measure(coefficients: NDArray[np.float64]) -> Light:
     )
 
 
-def balls_and_panorama(
-    coefficients: NDArray[np.float64], light: Light, model: Model
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def balls_and_panorama(coefficients: Array, light: Light, model: Model) -> tuple[Array, Array]:
     """Pictures of a light as they go to the screen, NaN beside the balls, which are of a model.
 
     Both have the same exposure: white is the 98th percentile of the panorama.
@@ -100,7 +98,7 @@ def balls_and_panorama(
     return encoded(balls / white), shown
 
 
-def _ring(shown: NDArray[np.float64], light: Light) -> None:
+def _ring(shown: Array, light: Light) -> None:
     """Draw a ring around the main direction: black in white, to be seen on any ground."""
     height, width = shown.shape[:2]
     # The inverse of the formulas in `panorama`: azimuth 0 is +Z, at the left and right edge.

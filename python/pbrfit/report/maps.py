@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.io.arrays import Array, Floats
 from pbrfit.io.color import encode_srgb
 from pbrfit.io.resampling import reduced_size
 from pbrfit.model.materials import Materials
@@ -173,7 +173,7 @@ def _depth(depth: NDArray[np.float32]) -> Block:
     )
 
 
-def _height(height: NDArray[np.floating[Any]]) -> Block:
+def _height(height: Floats) -> Block:
     """Heights towards the viewer, from blue (low) to yellow (high)."""
     low, _, high = _ends(height)
     across = height.shape[1]
@@ -199,13 +199,13 @@ def _ticks(low: float, high: float) -> dict[float, str]:
     return {(one - low) / (high - low): f"{one:.6g}".replace("-", "−") for one in inside}
 
 
-def _ends(values: NDArray[np.floating[Any]]) -> tuple[float, float, float]:
+def _ends(values: Floats) -> tuple[float, float, float]:
     """Where a scale begins, the median, and where it ends."""
     low, middle, high = np.nanpercentile(values, [DEPTH_SHOWN[0], 50, DEPTH_SHOWN[1]]).tolist()
     return low, middle, high
 
 
-def _between(values: NDArray[np.floating[Any]], low: float, high: float) -> Draw:
+def _between(values: Floats, low: float, high: float) -> Draw:
     """A map in colours from blue (low) to yellow (high)."""
     span = max(high - low, 1e-6 * abs(high)) or 1.0
 
@@ -230,7 +230,7 @@ def _maps(materials: Materials, which: str, remarks: Mapping[str, str]) -> Itera
         yield Shown(drawn, name, remarks[name], f"Map of the {which} {name}")
 
 
-def normals_shown(normals: NDArray[np.float64], title: str, remark: str) -> Shown:
+def normals_shown(normals: Array, title: str, remark: str) -> Shown:
     """Normals (H, W, 3) as colours."""
     alt = "Normals as colours" if title == "normals" else f"Normals as colours, {title}"
     return Shown(
@@ -239,7 +239,7 @@ def normals_shown(normals: NDArray[np.float64], title: str, remark: str) -> Show
     )
 
 
-def _grey(values: NDArray[np.float64]) -> Draw:
+def _grey(values: Array) -> Draw:
     return lambda side: raster.picture_png(raster.reduced(values, side))
 
 
@@ -255,7 +255,7 @@ def difference_shown(difference: Difference) -> Draw:
     return lambda side: raster.difference_png(raster.reduced_difference(difference, side))
 
 
-def ball_normals(side: int) -> NDArray[np.float64]:
+def ball_normals(side: int) -> Array:
     """(side, side, 3) normals of a ball seen from afar; NaN beside it."""
     along = (2 * np.arange(side) + 1 - side) / side
     x, y = np.meshgrid(along, -along)
@@ -264,6 +264,6 @@ def ball_normals(side: int) -> NDArray[np.float64]:
     return np.where(np.isnan(z)[..., None], np.nan, np.stack([x, y, z], axis=-1))
 
 
-def _median(values: NDArray[np.float64]) -> str:
+def _median(values: Array) -> str:
     inside = values[np.isfinite(values)].reshape(-1, *values.shape[2:])
     return ", ".join(f"{v:.2f}" for v in np.atleast_1d(np.median(inside, axis=0)))

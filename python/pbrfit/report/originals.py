@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,16 +18,8 @@ log = logging.getLogger("pbrfit")
 AND_SO = "So this page shows what the result says the pictures look like, but not the pictures."
 
 
-@dataclass(frozen=True, eq=False)
-class Originals:
-    """A scene, or in words why there is none."""
-
-    scene: Scene | None
-    remark: str = ""
-
-
-def find(result: Result, given: Scene | str | Path | None = None) -> Originals:
-    """Find the scene that a result was made from.
+def find(result: Result, given: Scene | str | Path | None = None) -> tuple[Scene | None, str]:
+    """Find the scene that a result was made from; or in words why there is none.
 
     `given` is the scene or its folder; None = where the result says that it was. Raises InputError
     or OSError if what was given is not that scene, or cannot be read. A scene that the result
@@ -37,19 +28,19 @@ def find(result: Result, given: Scene | str | Path | None = None) -> Originals:
     if isinstance(given, Scene):
         given = result.as_fitted(given)
         _check(result, given, "scene")
-        return Originals(given)
+        return given, ""
     if given is not None:
-        return Originals(_read(result, Path(given)))
+        return _read(result, Path(given)), ""
     if result.source is None:
-        return Originals(None, f"The result does not say where its pictures are. {AND_SO}")
+        return None, f"The result does not say where its pictures are. {AND_SO}"
     path = result.source.path
     try:
-        return Originals(_read(result, path))
+        return _read(result, path), ""
     except (InputError, OSError) as error:
         why = visible(" ".join(str(error).split()))
         log.warning("%s; the page has no pictures of the scene", why)
         found = "is gone, has changed since, or cannot be read"
-        return Originals(None, f"The scene folder {path.name} {found}. {AND_SO}")
+        return None, f"The scene folder {path.name} {found}. {AND_SO}"
 
 
 def _read(result: Result, path: Path) -> Scene:

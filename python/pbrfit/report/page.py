@@ -18,7 +18,7 @@ from pbrfit.report import (
     lamps,
     maps,
     normals,
-    transport,
+    surroundings,
     verdict,
     viewer,
 )
@@ -36,13 +36,13 @@ from pbrfit.report.html import (
     text_of,
 )
 from pbrfit.report.notation import angle, percent, plain
-from pbrfit.report.originals import Originals
 from pbrfit.report.pictures import Picture
 from pbrfit.result import differences
 from pbrfit.result.advice import next_steps
 from pbrfit.result.drawing import draw_history
 from pbrfit.result.metrics import PROTOCOL
 from pbrfit.result.result import Result
+from pbrfit.scene.scene import Scene
 from pbrfit.threads import in_pieces
 
 OPEN_TABLE = 24
@@ -64,9 +64,6 @@ TITLES = {
 }
 """Headings by anchor, in their order; sections without content are left out."""
 
-OPEN = {"summary": " open"}
-"""Sections that are not folded at first."""
-
 REFLECTION: Mapping[Model, str] = {
     "paper": "Surfaces reflect by the paper's model, eq. 12, which no renderer has: metals "
     "and dark glossy surfaces of these maps look different there.",
@@ -76,9 +73,9 @@ REFLECTION: Mapping[Model, str] = {
 """What the maps are maps of."""
 
 
-def page(result: Result, originals: Originals) -> str:
-    """HTML of a result, at most `budget.LIMIT` bytes."""
-    longer, scene = max(result.mask.shape), originals.scene
+def page(result: Result, scene: Scene | None, remark: str) -> str:
+    """HTML of a result, at most `budget.LIMIT` bytes; the remark says why there is no scene."""
+    longer = max(result.mask.shape)
     pictures = of_pictures.examine(result, scene, budget.SIDES[0])
     tiles = None
     if scene is not None:
@@ -101,7 +98,7 @@ def page(result: Result, originals: Originals) -> str:
         + f'<div class="numbers">{tables}</div>'
         + _size_remark("Maps of the view above", view_side, result),
         "lamps": lamps.section(result),
-        "surroundings": transport.section(result),
+        "surroundings": surroundings.section(result),
         "history": _history(result),
         held_out.ANCHOR: held_out.section(result),
         "origin": _origin(result),
@@ -112,7 +109,7 @@ def page(result: Result, originals: Originals) -> str:
         chosen = [pictures[i] for i in np.linspace(0, len(pictures) - 1, count).round().astype(int)]
         of_choice = {
             "maps": _size_remark("Maps", side, result) + maps.section(blocks, result, side),
-            "pictures": _pictures(originals, pictures, chosen, side),
+            "pictures": _pictures(scene, remark, pictures, chosen, side),
             "lights": _lights(pictures, chosen) if result.lamps is None else "",
         }
         return _document(result, fixed | of_choice)
@@ -126,7 +123,7 @@ def _document(result: Result, sections: Mapping[str, str]) -> str:
         sections["relight"],
         "<main>",
         *(
-            f'<section id="{key}"><details{OPEN.get(key, "")}>'
+            f'<section id="{key}"><details{" open" * (key == "summary")}>'
             f"<summary><h2>{escape(title)}</h2></summary>{sections[key]}</details></section>"
             for key, title in TITLES.items()
             if sections[key]
@@ -172,9 +169,13 @@ def _size_remark(what: str, side: int, result: Result) -> str:
 
 
 def _pictures(
-    originals: Originals, pictures: Sequence[Picture], chosen: Sequence[Picture], side: int
+    scene: Scene | None,
+    remark: str,
+    pictures: Sequence[Picture],
+    chosen: Sequence[Picture],
+    side: int,
 ) -> str:
-    scene, shown, count = originals.scene, len(chosen), len(pictures)
+    shown, count = len(chosen), len(pictures)
     size = height, width = reduced_size(pictures[0].radiance[0].shape, side)
     text = f"{width} × {height} pixels each."
     if shown < count:
@@ -184,15 +185,12 @@ def _pictures(
         )
     parts = [paragraph(text, "note")]
     if scene is None:
-        parts.append(paragraph(originals.remark))
+        parts.append(paragraph(remark))
         parts.append(paragraph("White is the 98th percentile of each reconstruction.", "note"))
     else:
         parts.append(paragraph(_how_to_read(pictures)))
-        marks = (
-            {}
-            if scene.weights is None and scene.limits is None
-            else {"left out: clipped, dark or of weight 0": differences.WHITE}
-        )
+        weighed = scene.weights is not None or scene.limits is not None
+        marks = {"left out: clipped, dark or of weight 0": differences.WHITE} if weighed else {}
         parts.append(figures.difference_key("residual, relative to the picture's RMS", marks))
     cards = in_pieces(0, lambda one: _card(one, side, size), chosen)
     parts.append(figures.grid(cards, "pictures" if scene is not None else "maps"))

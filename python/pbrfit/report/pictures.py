@@ -6,15 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit.display.tone import encoded
+from pbrfit.io.arrays import Array
 from pbrfit.report import lights, raster
 from pbrfit.report.html import Cell, Table, heads, number
 from pbrfit.report.lights import Light
 from pbrfit.report.notation import percent, plain
 from pbrfit.result import differences, metrics
-from pbrfit.result.differences import Difference, Map
+from pbrfit.result.differences import Difference
 from pbrfit.result.relighting import relight
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
@@ -53,7 +53,7 @@ class Picture:
     """Its light, without lamps: in numbers; on balls, as a panorama, None where there are lamps."""
     white: float
     """What is shown as white."""
-    radiance: tuple[NDArray[np.float64], ...]
+    radiance: tuple[Array, ...]
     """The picture, unless it is not there, and its reconstruction; of the largest side shown."""
     fit: Fit | None = None
     residual: Difference | None = None
@@ -86,9 +86,10 @@ def examine(result: Result, scene: Scene | None, side: int) -> list[Picture]:
             return Picture(*about, metrics.white_of(rendered), (small,))
         image, weights = scene.images[i], scene.channel_weights(i)
         counted = result.mask if weights is None else result.mask & (weights > 0).any(axis=-1)
-        residual = differences.residual(rendered, image, weights)
+        residual, rms, rmse = differences.residual(rendered, image, weights)
         fit = Fit(
-            *_errors(rendered, image, weights),
+            rms,
+            rmse,
             high=float(np.percentile(residual.values[counted], HIGH)),
             left_out=1 - np.count_nonzero(counted) / np.count_nonzero(result.mask),
         )
@@ -98,20 +99,6 @@ def examine(result: Result, scene: Scene | None, side: int) -> list[Picture]:
         return Picture(*about, white, shown, fit, residual)
 
     return in_pieces(0, one, range(len(result.pictures)))
-
-
-def _errors(rendered: Map, image: Map, weights: Map | None) -> tuple[float, float]:
-    """Root mean square of a picture and of its residual."""
-    sums = np.zeros(3)
-    for first in range(0, len(image), differences.ROWS):
-        rows = slice(first, first + differences.ROWS)
-        counts = np.isfinite(rendered[rows]) * (1.0 if weights is None else weights[rows])
-        shown = np.where(counts > 0, image[rows], np.float64(0))
-        error = np.where(counts > 0, rendered[rows], 0.0) - shown
-        squares = (np.einsum("hwc,hwc,hwc->", counts, of, of) for of in (shown, error))
-        sums += counts.sum(dtype=np.float64), *squares
-    rms, rmse = np.sqrt(sums[1:] / sums[0]).tolist()
-    return rms, rmse
 
 
 def table(pictures: Sequence[Picture]) -> Table:

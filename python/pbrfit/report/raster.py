@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import io
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from pbrfit.display.tone import codes
+from pbrfit.io.arrays import Array, Floats, Mask
 from pbrfit.io.resampling import averaged, averaged_channels, averaged_where, reduced_size
 from pbrfit.result.differences import OUTSIDE, PALETTE, Difference
-
-Values = NDArray[np.floating[Any]]
 
 SMALL = 1 << 13
 """Pixels up to which the slowest and strongest compression is worth its time."""
@@ -25,7 +22,7 @@ QUALITY = 90
 """Of photographs in JPEG and WebP, at which a block's border is not seen."""
 
 
-def reduced(values: Values, side: int) -> NDArray[np.float64]:
+def reduced(values: Floats, side: int) -> Array:
     """Average (H, W) or (H, W, C) down; NaN where most of what is averaged is NaN."""
     size = reduced_size(values.shape, side)
     if size == values.shape[:2]:
@@ -46,7 +43,7 @@ def reduced_difference(difference: Difference, side: int) -> Difference:
         return difference
     values = np.array(difference.values, dtype=np.float64)
     marked = np.zeros(values.shape, bool)
-    small: list[NDArray[np.bool_] | None] = []
+    small: list[Mask | None] = []
     for mark in (difference.white, difference.vermillion):
         small.append(None if mark is None else averaged(mark, size) >= 0.5)
         marked |= False if mark is None else mark
@@ -57,22 +54,25 @@ def reduced_difference(difference: Difference, side: int) -> Difference:
     return Difference(found, *small)
 
 
-def picture_png(encoded: Values) -> bytes:
+def picture_png(encoded: Floats) -> bytes:
     """(H, W) or (H, W, 3) as it goes to the screen; transparent where it is NaN."""
     return _png(_shown(encoded))
 
 
-def _shown(encoded: Values) -> Image.Image:
+def _shown(encoded: Floats) -> Image.Image:
     found = codes(encoded)
     return Image.fromarray(found[..., 0] if found.shape[-1] == 1 else found)
 
 
-def photograph(encoded: Values) -> bytes:
-    """As `picture_png`; large ones as WebP: a tenth of the bytes in a fifth of the time."""
+def photograph(encoded: Floats, kind: str = "WEBP", **options: int) -> bytes:
+    """As `picture_png`; large ones as WebP: a tenth of the bytes in a fifth of the time.
+
+    Or as another kind of Pillow's, with its options.
+    """
     if max(encoded.shape) <= LOSSLESS_SIDE:
         return picture_png(encoded)
     buffer = io.BytesIO()
-    _shown(encoded).save(buffer, "WEBP", quality=QUALITY, method=0)
+    _shown(encoded).save(buffer, kind, quality=QUALITY, **(options or {"method": 0}))
     return buffer.getvalue()
 
 

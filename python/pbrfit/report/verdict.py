@@ -151,16 +151,11 @@ def _truth(result: Result) -> str:
 
 
 def _without_verdicts(result: Result) -> str:
-    if result.uncertainty is not None:
-        if result.uncertainty.noise is None:
-            return "There are no more samples than unknowns, so nothing tells the noise."
-        return ""
-    if result.options.uncertainty:
-        return (
-            "An earlier version of pbrfit made this result, without verdicts on its maps: "
-            "decompose the scene again to get them."
-        )
-    return "The uncertainty of the maps was not estimated, so none of them has a verdict."
+    if result.uncertainty is None:
+        return "The uncertainty of the maps was not estimated, so none of them has a verdict."
+    if result.uncertainty.noise is None:
+        return "There are no more samples than unknowns, so nothing tells the noise."
+    return ""
 
 
 def _scale(result: Result) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 from pbrfit._core import InputError
 from pbrfit.result.data import ResultData, Status
 from pbrfit.result.light_sides import main_directions, one_side, unlit_sides
-from pbrfit.result.verdict import FOV_CONTRADICTED, MORE_TOLD, UNEXPLAINED, Verdict
+from pbrfit.result.verdict import FOV_CONTRADICTED, MORE_TOLD, UNEXPLAINED, Verdict, enumerated
 
 AT_MOST = 2
 """Steps that are named: the first that help most, not all that might."""
@@ -37,7 +37,7 @@ def of_verdicts(verdicts: Mapping[str, Verdict]) -> tuple[str, ...]:
         if one.cause:
             maps.setdefault((one.cause, one.remedy), []).append(name)
     return tuple(
-        f"{cause}: {remedy} {_listed(names)}".rstrip() if remedy else cause
+        f"{cause}: {remedy} {enumerated(names)}".rstrip() if remedy else cause
         for (cause, remedy), names in maps.items()
     )[:AT_MOST]
 
@@ -89,12 +89,12 @@ def _sides(result: ResultData, maps: list[str], named: set[str]) -> Iterator[str
     if sides is not None:
         yield (
             f"light from one side, {sides[0]}, in all pictures: pictures lit from {sides[1]} would "
-            f"help {_listed(maps)}"
+            f"help {enumerated(maps)}"
         )
     elif unlit := unlit_sides(directions):
         yield (
-            f"no picture is lit from {_listed(unlit, 'or')}: such pictures would help "
-            f"{_listed(maps)}"
+            f"no picture is lit from {enumerated(unlit, 'or')}: such pictures would help "
+            f"{enumerated(maps)}"
         )
 
 
@@ -108,9 +108,3 @@ def _mask(result: ResultData) -> Iterator[str]:
             f"{100 * share:.0f} % of the pixels are black, as a background is: a mask (mask.png) "
             "would leave them out"
         )
-
-
-def _listed(names: list[str], last: str = "and") -> str:
-    """Names with commas, and a word before the last."""
-    *some, end = names
-    return f"{', '.join(some)} {last} {end}" if some else end

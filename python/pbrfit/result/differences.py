@@ -9,18 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit.io.arrays import Array, Codes, Floats, Mask
 from pbrfit.io.color import encode_srgb, over_channels
 from pbrfit.model.materials import Materials
 from pbrfit.result.refinement import CHANGE_DEGREES_MIN
 from pbrfit.result.uncertainty import Uncertainty
 from pbrfit.result.verdict import LEVELS, levels, planes
-
-Map = NDArray[np.floating[Any]]
 
 SCALE = (0.001, 1.0)
 """Ends of the scale; what lies beyond takes the ends' colours."""
@@ -58,7 +55,7 @@ RGB_OF_LMS = np.array(
 """From cone responses to linear Rec.709."""
 
 
-def blue_to_yellow(values: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+def blue_to_yellow(values: Floats) -> Array:
     """Colours (..., 3), sRGB in [0, 1], of values (...,); those outside [0, 1] take the ends'."""
     t = np.clip(values, 0, 1)[..., None]
     oklab = (1 - t) * np.array(FIRST) + t * np.array(LAST)
@@ -90,13 +87,13 @@ PALETTE = np.concatenate(
 class Difference:
     """A map of differences."""
 
-    values: Map
+    values: Floats
     """(H, W), 0 or more; NaN outside the mask."""
-    white: NDArray[np.bool_] | None = None
-    vermillion: NDArray[np.bool_] | None = None
+    white: Mask | None = None
+    vermillion: Mask | None = None
     """(H, W) bool: pixels with a colour of their own instead; None = none."""
 
-    def indices(self) -> NDArray[np.uint8]:
+    def indices(self) -> Codes:
         """(H, W) into `PALETTE`."""
         share = on_scale(np.where(np.isfinite(self.values), self.values, 1.0))
         found = np.rint(share * (STEPS - 1)).astype(np.uint8)
@@ -107,7 +104,7 @@ class Difference:
         return found
 
 
-def on_scale(values: Map | float) -> NDArray[np.float64]:
+def on_scale(values: Floats | float) -> Array:
     """Where on the scale values lie, from 0 to 1."""
     low, high = map(math.log, SCALE)
     clipped = np.clip(np.asarray(values, dtype=np.float64), *SCALE)
@@ -122,32 +119,38 @@ def tick_places(*, degrees: bool = False) -> dict[float, str]:
 
 
 def residual(
-    rendered: Map, picture: Map, weights: NDArray[np.floating[Any]] | None = None
-) -> Difference:
+    rendered: Floats, picture: Floats, weights: Floats | None = None
+) -> tuple[Difference, float, float]:
     """Root mean square over channels of (rendered − picture), relative to the picture's RMS.
 
     Both are (H, W, 3), and `rendered` is NaN outside the mask. Values of weight (H, W, 3) 0 took no
-    part in the fit and have none here; pixels with no others are white.
+    part in the fit and have none here; pixels with no others are white. Beside it the root mean
+    squares of picture and residual by those weights.
     """
-    used: NDArray[np.bool_] = over_channels(np.logical_and, np.isfinite(rendered))
+    used: Mask = over_channels(np.logical_and, np.isfinite(rendered))
     squares, channels, brightness = np.zeros(used.shape), np.zeros(used.shape, np.intp), 0.0
+    weighted = np.zeros(3)
     for first in range(0, len(used), ROWS):
         rows = slice(first, first + ROWS)
-        counted = np.broadcast_to(used[rows, :, None], np.shape(picture[rows]))
-        if weights is not None:
-            counted = counted & (weights[rows] > 0)
+        inside = np.broadcast_to(used[rows, :, None], np.shape(picture[rows]))
+        weight = inside * (1.0 if weights is None else weights[rows])
+        counted = weight > 0
         shown = np.where(counted, picture[rows], np.float64(0))
         error = np.where(counted, rendered[rows], 0.0) - shown
         channels[rows] = np.count_nonzero(counted, axis=-1)
         squares[rows] = np.einsum("hwc,hwc->hw", error, error)
         brightness += float(np.einsum("hwc,hwc->", shown, shown))
+        of_both = (np.einsum("hwc,hwc,hwc->", weight, of, of) for of in (shown, error))
+        weighted += weight.sum(dtype=np.float64), *of_both
     difference = np.sqrt(squares / np.maximum(channels, 1))
     difference /= math.sqrt(brightness / max(int(channels.sum()), 1)) or 1.0
     difference[~used] = np.nan
-    return Difference(difference, white=None if weights is None else used & (channels == 0))
+    white = None if weights is None else used & (channels == 0)
+    rms, rmse = np.sqrt(weighted[1:] / (weighted[0] or 1.0)).tolist()
+    return Difference(difference, white=white), rms, rmse
 
 
-def turned(degrees: Map) -> Difference:
+def turned(degrees: Floats) -> Difference:
     """Angles (H, W) between given and refined normals, by radians; white = as given.
 
     A small angle in radians is how far apart the unit vectors are, so it has the place on the scale

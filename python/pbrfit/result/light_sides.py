@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.floating[Any]]
+from pbrfit.io.arrays import Array, Floats
 
 ONE_SIDE = 0.9
 """Length of the mean of the directions that light comes from, above which it comes from one side:
@@ -17,7 +14,7 @@ ASIDE = 0.26
 """Component from which on a direction counts for a side: sine of 15 degrees off the view's axis."""
 
 
-def main_directions(lighting: Array) -> NDArray[np.float64]:
+def main_directions(lighting: Floats) -> Array:
     """(N, 3): unit vectors to where most light of each picture (N, K, 3) comes from."""
     of_light, tiny = np.asarray(lighting, np.float64), np.finfo(np.float64).tiny
     directions = (of_light / max(np.abs(of_light).max(), tiny))[:, [3, 1, 2]].mean(axis=-1)  # xyz
@@ -25,7 +22,7 @@ def main_directions(lighting: Array) -> NDArray[np.float64]:
     return np.asarray(directions / np.maximum(lengths, tiny))
 
 
-def one_side(directions: Array) -> tuple[str, str] | None:
+def one_side(directions: Floats) -> tuple[str, str] | None:
     """The side that directions (N, 3) come from, and the opposite one; None where there are more.
 
     Only what is across the view has an opposite side that a lamp can be carried to; of light from
@@ -40,7 +37,7 @@ def one_side(directions: Array) -> tuple[str, str] | None:
     return ("the camera", "the sides") if middle[2] > 0 else ("behind", "the camera's side")
 
 
-def unlit_sides(directions: Array) -> list[str]:
+def unlit_sides(directions: Floats) -> list[str]:
     """Sides from which none of the directions (N, 3) comes; below is no place for a lamp."""
     most = {
         "the left": -directions[:, 0].min(),

@@ -6,12 +6,11 @@ NaN pixels, which are the ones outside the mask, never enter.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.io.arrays import Array, Floats, Mask
 from pbrfit.io.checks import reals
 from pbrfit.io.color import over_channels
 
@@ -21,11 +20,7 @@ PROTOCOL = (
 )
 
 
-def rmse(
-    found: NDArray[np.floating[Any]],
-    true: NDArray[np.floating[Any]],
-    weights: NDArray[np.floating[Any]] | None = None,
-) -> float:
+def rmse(found: Floats, true: Floats, weights: Floats | None = None) -> float:
     """Root mean square difference over the entries that are NaN in neither array.
 
     Weights are how much each entry counts, 0 or more, of a shape that broadcasts to theirs; None =
@@ -69,9 +64,7 @@ def rmse(
     return largest * math.sqrt(float(np.average(difference, weights=weights)))
 
 
-def scaled_per_channel(
-    found: NDArray[np.floating[Any]], true: NDArray[np.floating[Any]]
-) -> NDArray[np.float64]:
+def scaled_per_channel(found: Floats, true: Floats) -> Array:
     """`found` times the factor per channel (last axis) that brings it closest to `true`.
 
     Pictures with noise hardly tell that factor of albedo and light.
@@ -93,7 +86,7 @@ def scaled_per_channel(
         return np.asarray(found * factor)
 
 
-def white_of(radiance: NDArray[np.floating[Any]]) -> float:
+def white_of(radiance: Floats) -> float:
     """What to show as white: the 98th percentile of the entries that are not NaN; 1 if not above 0.
 
     Of the true picture, so that both of a pair are exposed alike.
@@ -107,11 +100,7 @@ def stops(white: float) -> float:
     return round(0.0 - math.log2(white), 1)
 
 
-def showable(
-    picture: NDArray[np.floating[Any]],
-    mask: NDArray[np.bool_],
-    weights: NDArray[np.floating[Any]] | None = None,
-) -> tuple[NDArray[np.floating[Any]], float]:
+def showable(picture: Floats, mask: Mask, weights: Floats | None = None) -> tuple[Floats, float]:
     """What can be shown of a picture (H, W, 3), and its white.
 
     Values that took no part in a fit, outside the mask or of weight (H, W, 3) 0, may be anything:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit.io.arrays import Array, Codes, Floats, Mask
 from pbrfit.model.materials import Materials
 from pbrfit.result import differences, metrics
 from pbrfit.result.data import ResultData
@@ -25,7 +24,7 @@ LAMP = DirectionalLight(-25.0, 30.0)
 """What a preview is lit by first."""
 
 
-def preview(result: ResultData, scene: SceneArrays | None = None) -> NDArray[np.uint8]:
+def preview(result: ResultData, scene: SceneArrays | None = None) -> Codes:
     """Sheet of a result: (H, W, 3) uint8 sRGB.
 
     Rows: the result under a lamp from the upper left, a picture (with `scene`), its reconstruction
@@ -84,7 +83,7 @@ def preview(result: ResultData, scene: SceneArrays | None = None) -> NDArray[np.
     return sheet(rows, title=title, labels=labels, keys=keys)
 
 
-def contact_sheet(scene: SceneArrays) -> NDArray[np.uint8]:
+def contact_sheet(scene: SceneArrays) -> Codes:
     """Sheet for checking a scene: (H, W, 3) uint8 sRGB.
 
     A row about given normals; up to `SHOWN` pictures, evenly spread and all of one exposure, each
@@ -115,9 +114,7 @@ def contact_sheet(scene: SceneArrays) -> NDArray[np.uint8]:
     return sheet(rows, title=title, keys=keys)
 
 
-def _histogram(
-    picture: NDArray[np.floating[Any]], inside: NDArray[np.bool_]
-) -> NDArray[np.floating[Any]]:
+def _histogram(picture: Floats, inside: Mask) -> Floats:
     """(H, W, 3): how often values in [0, 1] occur, as coloured areas on white, where `inside`."""
     height, width = inside.shape
     drawn = np.ones((height, width, 3))
@@ -154,7 +151,7 @@ def _pictures(result: ResultData, scene: SceneArrays | None) -> Row:
         white = metrics.white_of(reconstruction)
         return [*panels, Panel(f"reconstruction of {name}", displayed(reconstruction, white))]
     weights = scene.channel_weights(0)
-    residual = differences.residual(reconstruction, scene.images[0], weights)
+    residual, _, _ = differences.residual(reconstruction, scene.images[0], weights)
     picture, white = metrics.showable(scene.images[0], result.mask, weights)
     return [
         *panels,
@@ -173,7 +170,7 @@ def _maps(materials: Materials, captions: Sequence[str] = ("", "", "")) -> list[
     ]
 
 
-def _normals(normals: NDArray[np.floating[Any]], caption: str) -> Panel:
+def _normals(normals: Floats, caption: str) -> Panel:
     return Panel(caption, outside_grey(0.5 + 0.5 * normals))
 
 
@@ -186,5 +183,5 @@ def _key(caption: str, ticks: Mapping[float, str], marks: Mapping[str, int]) -> 
     return Key(caption, PALETTE[: differences.STEPS], ticks, patches)
 
 
-def _painted(difference: Difference) -> NDArray[np.float64]:
+def _painted(difference: Difference) -> Array:
     return PALETTE[difference.indices()]

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
@@ -81,7 +80,7 @@ class DirectionalLight:
 
     def turned(self, degrees: float) -> DirectionalLight:
         """The light turned about +Y: so much is added to its azimuth."""
-        return dataclasses.replace(self, azimuth=self.azimuth + _degrees("degrees", degrees))
+        return replace(self, azimuth=self.azimuth + _degrees("degrees", degrees))
 
 
 @dataclass(frozen=True)
@@ -213,7 +212,7 @@ def specular_enhanced(result: R) -> R:
     """
     inside = np.where(result.mask, 1.0, np.nan)
     glossy = Materials(result.albedo, GLOSS_ROUGHNESS * inside, GLOSS_METALLIC * inside)
-    return dataclasses.replace(result, materials=glossy)
+    return replace(result, materials=glossy)
 
 
 def _asked(
@@ -324,7 +323,7 @@ def turned(light: L, degrees: float) -> L:
         x, y, z = found.places.T
         cosine, sine = math.cos(angle), math.sin(angle)
         places = np.stack([cosine * x + sine * z, y, cosine * z - sine * x], axis=-1)
-        found = dataclasses.replace(found, places=places)
+        found = replace(found, places=places)
     else:
         found = lighting.rotated(found, degrees)
     return cast("L", found)

@@ -14,8 +14,9 @@ from PIL import Image, PngImagePlugin
 from pbrfit.display import tone
 from pbrfit.display.tone import ToneMap
 from pbrfit.io import images
+from pbrfit.io.arrays import Array, Codes
 
-Radiance = NDArray[np.float64]
+Radiance = Array
 """(H, W, 3) linear Rec.709; NaN outside the mask."""
 
 NEARLY_BLACK = 8
@@ -36,7 +37,7 @@ def write_exr(path: Path, radiance: Radiance) -> None:
     images.write_exr(path, channels)
 
 
-def write_animation(path: Path, kind: str, frames: Iterable[NDArray[np.uint8]], fps: float) -> None:
+def write_animation(path: Path, kind: str, frames: Iterable[Codes], fps: float) -> None:
     """Write frames of `Screen.shown` that are repeated for ever; WebP and PNG are lossless.
 
     `kind` is a key of `ANIMATIONS`, whatever the path is called. GIF holds each frame for a whole
@@ -75,7 +76,7 @@ class Screen:
     pixels: int = 0
     """Pixels so far with a channel at 255, with none above `NEARLY_BLACK`, and all."""
 
-    def shown(self, radiance: Radiance) -> NDArray[np.uint8]:
+    def shown(self, radiance: Radiance) -> Codes:
         """(H, W, 3) sRGB codes; (H, W, 4) where there is a mask, 0 outside it."""
         inside = np.isfinite(radiance).all(axis=-1)
         codes = tone.codes(tone.encoded(radiance, self.exposure, self.tone_map))

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from pbrfit.display.tone import encoded
+from pbrfit.io.arrays import Codes, Floats
 from pbrfit.result.verdict import Mark
 
 PANEL_SIDE = (192, 384)
@@ -38,7 +37,7 @@ class Panel:
 
     caption: str
     """A line above it."""
-    pixels: NDArray[np.floating[Any]]
+    pixels: Floats
     note: str = ""
     """Below it, in as many lines as it needs."""
     mark: Mark | None = None
@@ -51,11 +50,11 @@ class Key:
 
     caption: str
     """What the bar measures."""
-    bar: NDArray[np.floating[Any]]
+    bar: Floats
     """(M, 3) colours, the lowest value first, as they go to the screen."""
     ticks: Mapping[float, str]
     """Labels by share of the bar's width."""
-    patches: Mapping[str, NDArray[np.floating[Any]]] = field(default_factory=dict)
+    patches: Mapping[str, Floats] = field(default_factory=dict)
     """Colours by label, for what is not on the bar."""
 
 
@@ -69,7 +68,7 @@ def sheet(
     title: str = "",
     labels: Sequence[str] = (),
     keys: Sequence[Key] = (),
-) -> NDArray[np.uint8]:
+) -> Codes:
     """Panels in a grid, captions above: (H, W, 3) uint8.
 
     All pictures are of one size. A row without any caption has no room for one; labels stand at the
@@ -83,7 +82,7 @@ def sheet(
     size = (max(1, round(width * factor)), max(1, round(height * factor)))
     column = max(size[0], low)
     captions = [panel.caption for row in rows for panel in row if panel is not None]
-    letters = _letters(column)
+    letters = min(max(column // 13, FONT[0]), FONT[1])  # still readable when a sheet shrinks
     font = _font(captions, column, letters)
     label_font = ImageFont.load_default(letters)
     line = round(1.6 * letters)
@@ -91,9 +90,10 @@ def sheet(
     note_font = ImageFont.load_default(round(0.8 * letters))
     note_line = round(1.1 * letters)
     notes = [[_wrapped(panel, column, note_font, note_line) for panel in row] for row in rows]
+    of_captions = [line * any(panel and panel.caption for panel in row) for row in rows]
     heights = [
-        size[1] + MARGIN + (line if _has_captions(row) else 0) + note_line * max(map(len, below))
-        for row, below in zip(rows, notes, strict=True)
+        above + size[1] + MARGIN + note_line * max(map(len, below))
+        for above, below in zip(of_captions, notes, strict=True)
     ]
     columns = max(len(row) for row in rows)
     top = MARGIN + (round(1.5 * line) if title else 0)
@@ -106,7 +106,7 @@ def sheet(
         draw.text((MARGIN, MARGIN), title, fill=INK, font=large)
     y = top
     for i, row in enumerate(rows):
-        below_caption = y + (line if _has_captions(row) else 0)
+        below_caption = y + of_captions[i]
         if i < len(labels):
             middle = below_caption + size[1] // 2
             draw.text((MARGIN, middle), labels[i], fill=INK, font=label_font, anchor="lm")
@@ -158,10 +158,6 @@ def _disc(draw: ImageDraw.ImageDraw, mark: Mark, corner: tuple[int, int], side: 
     draw.ellipse((left, top, left + side - 1, top + side - 1), outline=color, width=side // 10)
 
 
-def _has_captions(row: Row) -> bool:
-    return any(panel is not None and panel.caption for panel in row)
-
-
 def _draw_key(draw: ImageDraw.ImageDraw, key: Key, corner: tuple[int, int], letters: int) -> None:
     """Caption above a bar with ticks below it; patches to the right."""
     font = ImageFont.load_default(letters)
@@ -185,26 +181,21 @@ def _draw_key(draw: ImageDraw.ImageDraw, key: Key, corner: tuple[int, int], lett
         x += round(font.getlength(label)) + 2 * MARGIN
 
 
-def _ink(color: NDArray[np.floating[Any]] | tuple[float, float, float]) -> tuple[int, int, int]:
+def _ink(color: Floats | tuple[float, float, float]) -> tuple[int, int, int]:
     red, green, blue = (int(255 * float(part) + 0.5) for part in color)
     return red, green, blue
 
 
-def displayed(linear: NDArray[np.floating[Any]], white: float = 1.0) -> NDArray[np.floating[Any]]:
+def displayed(linear: Floats, white: float = 1.0) -> Floats:
     """Linear radiance (H, W, 3) as it goes to the screen; NaN becomes grey."""
     return outside_grey(encoded(linear / white))
 
 
-def outside_grey(values: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+def outside_grey(values: Floats) -> Floats:
     """Values (H, W) or (H, W, 3) as (H, W, 3), grey where they are NaN."""
     if values.ndim == 2:
         values = np.repeat(values[..., None], 3, axis=-1)
     return np.where(np.isfinite(values), values, OUTSIDE)
-
-
-def _letters(width: int) -> int:
-    """Size of the letters beside panels of this width: they stay readable when a sheet shrinks."""
-    return min(max(width // 13, FONT[0]), FONT[1])
 
 
 def _font(texts: Sequence[str], width: int, largest: int) -> Font:

@@ -8,13 +8,13 @@ would be too large if it were so much smaller.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit.io.arrays import Codes, Floats
 from pbrfit.io.json_files import read_as, table
 from pbrfit.model.materials import Materials
 from pbrfit.result.held_out import HeldOut
@@ -93,15 +93,10 @@ class Verdict:
             return "< 0.001"
         return f"± {error:.2f}" if error >= 0.01 else f"± {error:.3f}" if error else "± 0"
 
-    @property
-    def why(self) -> str:
-        """Cause and remedy after a colon; empty where there are none."""
-        words = "; ".join(filter(None, (self.cause, self.remedy)))
-        return f": {words}" if words else ""
-
     def in_words(self) -> str:
         """All of it, as it stands beside a map."""
-        return f"{self.level}, {self.error_in_words}{self.why}"
+        why = "; ".join(filter(None, (self.cause, self.remedy)))
+        return ": ".join(filter(None, (f"{self.level}, {self.error_in_words}", why)))
 
 
 def level_of(name: str, expected_error: float) -> Level:
@@ -120,20 +115,15 @@ def _level(error: float, usable: float, rough: float) -> Level:
     return "rough guide" if error <= rough else "not determined"
 
 
-def expected_errors(deviation: Materials) -> dict[str, float]:
-    """RMSE to be expected of each map, from its deviations."""
+def by_deviations(deviation: Materials) -> dict[str, Verdict]:
+    """Of each map, without causes: the RMSE to be expected is that of its deviations."""
     found = {}
     for name in PARAMETERS:
         values = getattr(deviation, name)
         inside = values[np.isfinite(values)].astype(np.float32).astype(np.float64)
-        found[name] = float(np.sqrt(np.mean(np.square(inside)))) if inside.size else 0.0
+        error = float(np.sqrt(np.mean(np.square(inside)))) if inside.size else 0.0
+        found[name] = Verdict(level_of(name, error), error)
     return found
-
-
-def by_deviations(deviation: Materials) -> dict[str, Verdict]:
-    """Of each map, without causes."""
-    errors = expected_errors(deviation)
-    return {name: Verdict(level_of(name, error), error) for name, error in errors.items()}
 
 
 def capped(verdicts: Mapping[str, Verdict], held_out: HeldOut | None) -> dict[str, Verdict]:
@@ -156,7 +146,7 @@ def doubted(verdicts: Mapping[str, Verdict], cause: str, remedy: str) -> dict[st
     return found
 
 
-def levels(deviation: Materials) -> dict[str, NDArray[np.uint8]]:
+def levels(deviation: Materials) -> dict[str, Codes]:
     """For each pixel (H, W) the index in `LEVELS` that its own deviation alone would give its map.
 
     255 outside the mask.
@@ -170,7 +160,7 @@ def levels(deviation: Materials) -> dict[str, NDArray[np.uint8]]:
     return found
 
 
-def planes(deviations: Materials) -> dict[str, NDArray[np.floating[Any]]]:
+def planes(deviations: Materials) -> dict[str, Floats]:
     """(H, W) by name, in the order of `PARAMETERS`: of albedo the RMS over channels."""
     albedo = np.sqrt(np.mean(np.square(deviations.albedo), axis=-1))
     return dict(zip(PARAMETERS, (albedo, deviations.roughness, deviations.metallic), strict=True))
@@ -210,8 +200,13 @@ def thresholds() -> str:
 def _by_map(limits: Mapping[str, str]) -> str:
     if len(set(limits.values())) == 1:
         return limits[PARAMETERS[0]]
-    *some, last = (f"{limit} ({name})" for name, limit in limits.items())
-    return f"{', '.join(some)} or {last}"
+    return enumerated([f"{limit} ({name})" for name, limit in limits.items()], "or")
+
+
+def enumerated(names: Sequence[str], last: str = "and") -> str:
+    """Names with commas, and a word before the last."""
+    *some, end = names
+    return f"{', '.join(some)} {last} {end}" if some else end
 
 
 def nothing_usable(verdicts: Mapping[str, Verdict]) -> bool:

@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.io.arrays import Array
 from pbrfit.model.reflection import DEFAULT_MODEL, Model, checked_model, render
 from pbrfit.scene.arrays import Truth
 from pbrfit.scene.scene import Scene
@@ -20,8 +20,6 @@ from pbrfit.synthetic.scenes import draw
 from pbrfit.synthetic.world import RayCast, World
 
 __all__ = ["MEAN_RADIANCE", "RayCast", "World", "draw", "gains", "make_scene", "random_lights"]
-
-Array = NDArray[np.float64]
 
 MEAN_RADIANCE = 0.4
 """Mean radiance of the training pictures of a scene, all together."""
@@ -103,7 +101,6 @@ def make_scene(
         images=images,
         normals=view.normals,
         fov=view.fov,
-        mask=view.mask,
         segments=view.segments,
         names=tuple(f"light_{i:02d}" for i in range(lights)),
         model=model,

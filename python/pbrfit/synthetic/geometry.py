@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from pbrfit.io.arrays import Array
 
 
 def rotation(axis: int, degrees: float) -> Array:

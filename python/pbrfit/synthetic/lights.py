@@ -15,12 +15,10 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.polynomial.legendre import poly2leg
-from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.io.arrays import Array
 from pbrfit.model.reflection import sh_basis
-
-Array = NDArray[np.float64]
 
 # Powers of u, lowest first, by order; every lobe is 1 at u = 1.
 SHARP = {

@@ -10,12 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit.io.arrays import Array
 from pbrfit.model.geometry import view_directions
 from pbrfit.synthetic.geometry import Box, Cylinder, Plane, Primitive, Sphere, rotation, trace
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit.io.arrays import Array, Mask
 from pbrfit.synthetic.patterns import (
     Pattern,
     checker,
@@ -18,8 +18,6 @@ from pbrfit.synthetic.patterns import (
     stripes,
     veins,
 )
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -157,7 +155,7 @@ def wall_paints(rng: np.random.Generator) -> list[Paint]:
     return [floor, ceiling, walls[0], walls[1], walls[2], walls[0]]
 
 
-def _metal_pieces(count: int, rng: np.random.Generator) -> NDArray[np.bool_]:
+def _metal_pieces(count: int, rng: np.random.Generator) -> Mask:
     """(count,): at least a third, at most half of the pieces."""
     metals = rng.integers(-(-count // 3), count // 2 + 1)
     return rng.permutation(count) < metals

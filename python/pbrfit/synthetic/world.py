@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.io.arrays import Array
 from pbrfit.model.geometry import view_directions
 from pbrfit.model.materials import Materials
 from pbrfit.synthetic.geometry import Primitive, trace
 from pbrfit.synthetic.surfaces import Spots, Surface
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -26,8 +25,6 @@ class RayCast:
     """(H, W) ids from 1, one for each piece and each wall."""
     materials: Materials
     """Ground truth; albedo in linear Rec.709."""
-    mask: NDArray[np.bool_] | None
-    """(H, W), or None when every pixel is valid."""
     fov: float
     """Horizontal field of view in degrees."""
 
@@ -51,7 +48,7 @@ class World:
     def cast(self, size: int, fov: float = 60.0) -> RayCast:
         """Cast one ray through every pixel centre.
 
-        Every pixel is valid (`mask` None) and faces the camera. Its `size` is width and height in
+        Every pixel is valid and faces the camera. Its `size` is width and height in
         pixels, `fov` the horizontal field of view in degrees, 0 < fov < 180. Raises InputError when
         `size` is below 1, or `fov` is outside its range.
         """
@@ -87,7 +84,6 @@ class World:
                 roughness=roughness.reshape(size, size),
                 metallic=metallic.reshape(size, size),
             ),
-            mask=None,
             fov=fov,
         )
 

@@ -52,9 +52,9 @@ def written(path: Path, linear: NDArray[np.float64]) -> images.Picture:
 
 def test_the_matrix_and_the_exposure_are_found(tmp_path: Path) -> None:
     picture = written(tmp_path / "chart.png", drawn())
-    found = read_chart(tmp_path / "chart.png", picture, CORNERS)
-    np.testing.assert_allclose(EXPOSURE * found.matrix, TO_REC709, atol=2e-3)
-    assert found.said == "a ColorChecker, mean colour difference 0.0 (CIE 1976; 9.8 without)"
+    matrix, said = read_chart(tmp_path / "chart.png", picture, CORNERS)
+    np.testing.assert_allclose(EXPOSURE * matrix, TO_REC709, atol=2e-3)
+    assert said == "a ColorChecker, mean colour difference 0.0 (CIE 1976; 9.8 without)"
 
 
 @pytest.mark.parametrize(
@@ -80,8 +80,8 @@ def test_a_chart_is_sought_in_any_turn(tmp_path: Path, turn: int) -> None:
     pytest.importorskip("cv2")
     large = drawn().repeat(3, axis=0).repeat(3, axis=1)
     picture = written(tmp_path / "chart.png", np.rot90(large, turn))
-    found = read_chart(tmp_path / "chart.png", picture, None)
-    np.testing.assert_allclose(EXPOSURE * found.matrix, TO_REC709, atol=5e-3)
+    matrix, _ = read_chart(tmp_path / "chart.png", picture, None)
+    np.testing.assert_allclose(EXPOSURE * matrix, TO_REC709, atol=5e-3)
 
 
 def test_an_even_picture_has_no_chart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -107,7 +107,7 @@ def scene(folder: Path) -> tuple[Path, list[NDArray[np.float64]]]:
 def test_a_chart_corrects_all_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder, shown = scene(tmp_path / "scene")
     path = tmp_path / "chart.png"
-    matrix = read_chart(path, written(path, drawn()), CORNERS).matrix
+    matrix, _ = read_chart(path, written(path, drawn()), CORNERS)
     rows = tuple(map(tuple, matrix.tolist()))
     read = Scene.load(folder, ReadOptions(color_matrix=rows))
     np.testing.assert_allclose(read.images, shown, atol=2e-3)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from command_runs import done, refused
 from pbrfit._core import InputError
 from pbrfit.acquire.marigold import mean_and_spread
-from pbrfit.acquire.normals import estimate, weights_of
+from pbrfit.acquire.normals import Normals, estimate
 from pbrfit.acquire.photo import shown_to_network
 from pbrfit.display.tone import encoded
 from pbrfit.io import images
@@ -305,8 +305,8 @@ def test_what_the_command_cannot_do_changes_nothing(
 def test_uncertainty_is_kept_beside_the_normals(folder: Path) -> None:
     from pbrfit.scene.completion import add_normals
 
-    uncertainty = np.linspace(0, 20, SIZE * SIZE).reshape(SIZE, SIZE)
-    weights = known(weights_of(uncertainty, None))
+    uncertainty = np.asarray(np.linspace(0, 20, SIZE * SIZE).reshape(SIZE, SIZE), np.float64)
+    weights = known(Normals(np.zeros((SIZE, SIZE, 3)), uncertainty).weights)
     paths = add_normals(folder, room().normals, uncertainty=uncertainty, weights=weights)
     assert [path.name for path in paths] == ["normals.exr", "weights.exr"]
     channels = images.read_channels(folder / "normals.exr")

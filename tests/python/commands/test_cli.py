@@ -301,7 +301,7 @@ def test_pictures_are_decomposed_without_a_verb(
     done("scene", *FEW, "--overwrite", "--no-report", "--quiet")
     assert sorted(path.name for path in Path("scene-pbrfit").iterdir()) == FILES
     assert done("scene", *FEW, "--resume").startswith("scene-pbrfit: kept")
-    monkeypatch.setattr("pbrfit.report.write_report", mock.Mock(side_effect=MemoryError))
+    monkeypatch.setattr("pbrfit.batch.scenes.write_report", mock.Mock(side_effect=MemoryError))
     assert "scene-pbrfit: no report: not enough memory" in ran("scene", *FEW, "--overwrite").err
     assert sorted(path.name for path in Path("scene-pbrfit").iterdir()) == FILES
     write_folder(tmp_path / "both" / "one")

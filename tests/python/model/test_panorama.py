@@ -71,8 +71,8 @@ def test_a_turned_light_comes_from_turned_directions(degrees: float, seed: int) 
 def test_rotate_takes_light_from_the_viewer_to_the_right() -> None:
     from_viewer = lamp((0, 0, 1))
     from_right = panorama.project(lamp((1, 0, 0)))
-    np.testing.assert_allclose(panorama.project(from_viewer, rotate=90), from_right, atol=2e-2)
-    assert np.abs(panorama.project(from_viewer, rotate=-90) - from_right).max() > 1
+    np.testing.assert_allclose(rotated(panorama.project(from_viewer), 90), from_right, atol=2e-2)
+    assert np.abs(rotated(panorama.project(from_viewer), -90) - from_right).max() > 1
 
 
 def test_damping_against_ringing() -> None:

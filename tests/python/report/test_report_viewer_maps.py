@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from pbrfit import InputError, Scene
+from pbrfit import Scene
 from pbrfit.display.tone import encoded
 from pbrfit.kernel import ggx_band_weights
 from pbrfit.model.geometry import view_directions
@@ -83,12 +83,6 @@ def test_normals_that_cancel_each_other_are_left_out() -> None:
     assert not small.mask.any()
     assert np.isnan(small.materials.albedo).all()
     assert 'data-state="loading"' in fragment(cancelling, 1)
-
-
-@pytest.mark.parametrize("max_side", [0, -5])
-def test_no_size_is_refused(max_side: int) -> None:
-    with pytest.raises(InputError, match=f"max_side: expected at least 1 pixel, found {max_side}"):
-        fragment(made(2, 2), max_side)
 
 
 def test_band_weights_between_the_nodes_are_off_by_less_than_5e_6() -> None:

@@ -87,7 +87,6 @@ def test_bad_light_arguments(count: int, sh_order: int) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_every_pixel_is_valid_and_faces_the_camera(kind: str, seed: int) -> None:
     view = build(kind, 64, np.random.default_rng(seed))
-    assert view.mask is None
     np.testing.assert_allclose(np.linalg.norm(view.normals, axis=-1), 1.0, rtol=1e-14)
     assert (np.sum(-camera_rays(64, 64, view.fov) * view.normals, axis=-1) > 0.0).all()
     assert view.segments.dtype == np.uint16

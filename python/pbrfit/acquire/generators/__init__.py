@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import importlib
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any, Protocol
 
 from pbrfit._core import InputError
-
-if TYPE_CHECKING:
-    from pbrfit.acquire.photo import Photo
-    from pbrfit.acquire.prompts import Catalogue
+from pbrfit.acquire.photo import Photo
+from pbrfit.acquire.prompts import Catalogue
+from pbrfit.io.arrays import Codes
 
 RETRY_STEP = 1000
 """Between the seeds of a request's attempts; so many requests have seeds of their own."""
@@ -36,7 +32,7 @@ class Request:
 class Generated:
     """One picture that came."""
 
-    pixels: NDArray[np.uint8]
+    pixels: Codes
     """(H, W, 3) uint8, sRGB, of the photo's size, each pixel where the photo has it."""
     record: dict[str, Any]
     """How it was made, as JSON: model, revision, seed, steps, guidance, seconds, usage …"""

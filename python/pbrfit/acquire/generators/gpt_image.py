@@ -15,9 +15,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, NoReturn
 from urllib.parse import urlsplit
 
-import numpy as np
-from numpy.typing import NDArray
-
 from pbrfit._core import InputError
 from pbrfit.acquire.generators import Generated, Refused, Request, requests_from
 from pbrfit.acquire.padding import GPT_IMAGE_2, Frame, frame, read_srgb8, resized_srgb8
@@ -25,6 +22,7 @@ from pbrfit.acquire.photo import Photo
 from pbrfit.acquire.prompts import Catalogue
 from pbrfit.acquire.weights import need
 from pbrfit.io import images
+from pbrfit.io.arrays import Codes
 from pbrfit.io.checks import one_of
 from pbrfit.io.quoting import listed, shown
 
@@ -159,7 +157,7 @@ class GptImage:
         parts = urlsplit(str(self._client.base_url))
         return f"{parts.hostname}:{parts.port}" if parts.port else str(parts.hostname)
 
-    def _picture(self, answer: Any, around: Frame) -> tuple[NDArray[np.uint8], list[int]]:
+    def _picture(self, answer: Any, around: Frame) -> tuple[Codes, list[int]]:
         """The picture in an answer at the photo's size, and the (width, height) it came in."""
         try:
             pixels = read_srgb8(base64.b64decode(answer.data[0].b64_json, validate=True))

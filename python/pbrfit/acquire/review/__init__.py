@@ -31,9 +31,9 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.acquire.review import illumination, structure
+from pbrfit.io.arrays import Array, Mask
 from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.registration import alignment
-from pbrfit.registration.alignment import Alignment
 from pbrfit.threads import one_blas_thread
 
 USABLE_SHARE_MIN = 0.2
@@ -127,7 +127,7 @@ class Reviewer:
     transparent. Raises InputError if the photograph has nothing to compare by: no edges at all.
     """
 
-    def __init__(self, photo: NDArray[Any], *, mask: NDArray[np.bool_] | None = None) -> None:
+    def __init__(self, photo: NDArray[Any], *, mask: Mask | None = None) -> None:
         self.shape = photo.shape
         size = reduced_size(photo.shape, alignment.SIDE)
         self._size = size
@@ -172,7 +172,7 @@ class Reviewer:
         if len(small) < illumination.FEWEST:
             return verdicts
         photo, *members = (
-            _Member(
+            (
                 alignment.edges(picture, self._mask),
                 structure.gradients(picture, self._mask),
                 averaged_channels(picture, self._low).reshape(-1, 3),
@@ -202,9 +202,9 @@ class Reviewer:
 
     def _judge(self, members: Sequence[_Member], first: int = 1) -> list[Verdict]:
         """Verdicts on the members from `first` on; member 0 is the photograph."""
-        others = alignment.of_the_others([member.edges for member in members])
-        lasting = structure.lasting([member.gradients for member in members])
-        low = np.stack([member.low for member in members])
+        edges, gradients, small = zip(*members, strict=True)
+        others, lasting = alignment.of_the_others(edges), structure.lasting(gradients)
+        low = np.stack(small)
         used = illumination.usable(low)
         if self._mask is not None:
             used &= averaged(self._mask.astype(np.float64), self._low).ravel() > 0.999
@@ -216,14 +216,14 @@ class Reviewer:
         usual = max(float(np.median([found.max() for found in brightness])), BRIGHTNESS_MIN)
         verdicts = []
         for i in range(first, len(members)):
-            found = alignment.compare(others[i], members[i].edges, pixel=self._pixel)
+            found = alignment.compare(others[i], edges[i], pixel=self._pixel)
             aligned = _aligned(
                 found,
                 "what the others share",
                 EDGE_CORRELATION_TOGETHER_MIN,
                 DISPLACED_SHARE_TOGETHER_MAX,
             )
-            kept = structure.kept(members[i].gradients, lasting, self._low)
+            kept = structure.kept(gradients[i], lasting, self._low)
             content = self._content(kept, brightness[i - 1], usual, len(members))
             colour = self._colour(residuals[i - 1], len(members))
             verdicts.append(Verdict((*aligned, colour, content)))
@@ -274,7 +274,7 @@ class Reviewer:
             )
         return _at_least("copy", known, LOG_CHANGE_MIN, note)
 
-    def _colour(self, residual: NDArray[np.float64], pictures: int) -> Check:
+    def _colour(self, residual: Array, pictures: int) -> Check:
         mixed = illumination.mixed(residual)
         most = float(mixed.max())
         note = (
@@ -283,13 +283,7 @@ class Reviewer:
         )
         return _at_most("colour", most, _bound(COLOUR_RESIDUAL_MAX, pictures), note)
 
-    def _content(
-        self,
-        kept: NDArray[np.float64],
-        brightness: NDArray[np.float64],
-        usual: float,
-        pictures: int,
-    ) -> Check:
+    def _content(self, kept: Array, brightness: Array, usual: float, pictures: int) -> Check:
         missing = np.nan_to_num(1.05 - kept).clip(0)
         changed = brightness / (BRIGHTNESS * usual) + DETAIL * missing
         place = np.unravel_index(changed.argmax(), changed.shape)
@@ -302,7 +296,7 @@ class Reviewer:
         bound = _bound(CHANGE_EVIDENCE_MAX, pictures)
         return _at_most("content", float(changed[place]), bound, note)
 
-    def _place(self, found: NDArray[np.float64]) -> str:
+    def _place(self, found: Array) -> str:
         """Where the largest value is, in words: pixels of the full picture."""
         row, column = np.unravel_index(found.argmax(), found.shape)
         x = (int(column) + 0.5) * self.shape[1] / found.shape[1]
@@ -314,18 +308,12 @@ def _bound(parts: tuple[float, float], pictures: int) -> float:
     return parts[0] + parts[1] / min(pictures, PICTURES_COUNTED_MAX)
 
 
-@dataclass(frozen=True, eq=False)
-class _Member:
-    """What is compared of a picture."""
-
-    edges: alignment.Field
-    gradients: structure.Gradients
-    low: NDArray[np.float64]
-    """(P, 3)."""
+_Member = tuple[alignment.Field, structure.Gradients, Array]
+"""What is compared of a picture: edges, gradients, and the picture (P, 3) at low resolution."""
 
 
 def _aligned(
-    found: Alignment | None, reference: str, least_agreement: float, most_moved: float
+    found: alignment.Alignment | None, reference: str, least_agreement: float, most_moved: float
 ) -> tuple[Check, ...]:
     if found is None:
         return (Check("edges", 0.0, least_agreement, False, "no edges to compare by"),)

@@ -25,6 +25,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.io.arrays import Array, Mask
+
 SIDE = 128
 """Longer side at which this is done, in pixels."""
 
@@ -40,14 +42,12 @@ _RIDGE = 1e-4
 _STEPS = 8
 
 
-def usable(pictures: NDArray[Any]) -> NDArray[np.bool_]:
+def usable(pictures: NDArray[Any]) -> Mask:
     """(N, P): neither clipped nor dark."""
     return np.asarray((pictures.min(axis=-1) > _DARK) & (pictures.max(axis=-1) < _BRIGHT))
 
 
-def unexplained(
-    index: int, pictures: NDArray[np.float64], used: NDArray[np.bool_]
-) -> NDArray[np.float64]:
+def unexplained(index: int, pictures: Array, used: Mask) -> Array:
     """Residual (P, 3) of a picture's illumination, as a logarithm; 0 where it is not usable.
 
     Pictures are (N, P, 3), linear, white = 1; `used` (N, P), see `usable`.
@@ -78,14 +78,14 @@ def unexplained(
     return np.asarray(residual * sound[:, None])
 
 
-def brightness(residual: NDArray[np.float64]) -> NDArray[np.float64]:
+def brightness(residual: Array) -> Array:
     """(H, W): size of the mean over channels of smoothed residuals (H, W, 3)."""
     from scipy.ndimage import gaussian_filter
 
     return np.asarray(np.abs(gaussian_filter(residual.mean(axis=-1), WINDOW)))
 
 
-def mixed(residual: NDArray[np.float64]) -> NDArray[np.float64]:
+def mixed(residual: Array) -> Array:
     """(H, W): how far smoothed residuals (H, W, 3) go up in one channel and down in another."""
     from scipy.ndimage import gaussian_filter
 

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.io.arrays import Array, Mask
 from pbrfit.io.resampling import averaged
 from pbrfit.registration.alignment import gradient
 
@@ -50,11 +51,11 @@ class Gradients:
     """(H, W, 3) complex64: x + i y, of log(I + ε)."""
     factor: NDArray[np.float32]
     """(H, W, 3) float32: I / (I + ε)."""
-    sound: NDArray[np.bool_]
+    sound: Mask
     """(H, W, 3) bool: neither clipped nor black."""
 
 
-def gradients(image: NDArray[Any], mask: NDArray[np.bool_] | None = None) -> Gradients:
+def gradients(image: NDArray[Any], mask: Mask | None = None) -> Gradients:
     """Gradients of a picture (H, W, 3) of linear values, white = 1."""
     from scipy.ndimage import binary_erosion, gaussian_filter
 
@@ -89,7 +90,7 @@ def lasting(pictures: Sequence[Gradients]) -> Lasting:
     return values, weight
 
 
-def kept(picture: Gradients, reference: Lasting, size: tuple[int, int]) -> NDArray[np.float64]:
+def kept(picture: Gradients, reference: Lasting, size: tuple[int, int]) -> Array:
     """Share of the lasting gradients that a picture keeps, at the most.
 
     The border of one shadow in a window of few lasting gradients lowers the share by chance, the

@@ -74,7 +74,7 @@ def fragment(
     Larger maps are averaged down to `max_side` pixels on the longer side. It decides about the
     size: 2 to 9 bytes for a pixel, times 4/3 as text. `tiles` are the pictures, None = drawn from
     the result; `head` is HTML above the picture. Returns a fragment for the body of a page in
-    UTF-8; it refers to nothing outside. Raises InputError if `max_side` is below 1.
+    UTF-8; it refers to nothing outside.
     """
     shown = maps.of_result(result, max_side)
     height, width = shown.mask.shape

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from PIL import Image
 
-from pbrfit.display.tone import codes, encoded
+from pbrfit.display.tone import encoded
 from pbrfit.report import budget
 from pbrfit.report.html import address
-from pbrfit.report.raster import LOSSLESS_SIDE, QUALITY, picture_png, reduced
+from pbrfit.report.raster import photograph, picture_png, reduced
 from pbrfit.report.viewer.lights import Lighting, exposure_of
 from pbrfit.result.metrics import stops
 from pbrfit.scene.scene import Scene
@@ -44,12 +42,9 @@ def of_scene(scene: Scene, whites: Sequence[float], limit: float) -> list[Tile]:
         exposure = stops(whites[i])
         finite = np.nan_to_num(scene.images[i], nan=0.0, posinf=0.0, neginf=0.0)
         shown = encoded(reduced(finite, side), exposure, "neutral")
-        if max(shown.shape) <= LOSSLESS_SIDE:
-            return Tile(address(picture_png(shown)), exposure, original=True)
         # A JPEG, whose colours have all their pixels: it is compared with what is rendered.
-        buffer = io.BytesIO()
-        Image.fromarray(codes(shown)).save(buffer, "JPEG", quality=QUALITY, subsampling=0)
-        return Tile(address(buffer.getvalue()), exposure, original=True)
+        made = photograph(shown, "JPEG", subsampling=0)
+        return Tile(address(made), exposure, original=True)
 
     # One picture out of the middle tells how large all will be.
     count = len(scene.images)

@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit._core import InputError, lobe_table
+from pbrfit._core import lobe_table
+from pbrfit.io.arrays import Array, Mask
 from pbrfit.model.geometry import view_directions
 from pbrfit.model.materials import Materials
 from pbrfit.report.html import in_base64
 from pbrfit.report.raster import reduced
 from pbrfit.result.result import Result
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -27,7 +26,7 @@ class Maps:
 
     materials: Materials
     normals: Array
-    mask: NDArray[np.bool_]
+    mask: Mask
     fov: float
     """As of a result."""
 
@@ -36,11 +35,8 @@ def of_result(result: Result, max_side: int) -> Maps:
     """Maps with at most `max_side` pixels on the longer side.
 
     Larger ones are averaged over the area that falls on each new pixel, its part in the mask alone,
-    and normals made unit vectors again. A new pixel is valid if half of its area is. Raises
-    InputError if `max_side` is below 1.
+    and normals made unit vectors again. A new pixel is valid if half of its area is.
     """
-    if max_side < 1:
-        raise InputError(f"max_side: expected at least 1 pixel, found {max_side}")
     albedo, roughness, metallic, normals = (
         reduced(values, max_side)
         for values in (result.albedo, result.roughness, result.metallic, result.normals)
