@@ -53,6 +53,12 @@ smears clipped areas: of samples that were clipped before a JPEG of quality 75 t
 colour, 15 to 22 % come back with all channels below 254, and 5 to 9 % with all below 251, which
 takes 2 % of the sound samples of bright photographs for clipped."""
 
+_OF_CHANNELS = re.compile(
+    rb"ImageJ=[^\0]*\nchannels=[34]\n[^\0]*mode=co"
+    rb"|SizeC=.[34][^>]*>\s*<Channel[^>]*SamplesPerPixel=.1\b"
+)
+"""In the description of a TIFF file (by ImageJ, or OME) whose pages are channels of a picture."""
+
 _OTHERS = {
     rb"....ftyp(hei[cxms]|hevc|m[is]f1|avif)": "HEIC or AVIF: convert it first, for example with "
     "`heif-convert {0.name} {0.stem}.png`",
@@ -144,7 +150,7 @@ def read_picture(
     page = int(path.stem.rpartition("_")[2]) - 1 if file != path else None
     _, data, form = _load(file, raw=True)
     if layer is not None and form != "EXR":
-        raise InputError(f"{path}: expected an EXR file with layer {layer}, found {form}")
+        raise InputError(f"{path}: expected an EXR file with layer {shown(layer)}, found {form}")
     if form == RAW and color_space not in (None, "linear"):
         expected = "expected colour space linear for a raw file"
         raise InputError(f"{path}: {expected}, found {color_space}")
@@ -224,13 +230,17 @@ def pages(path: Path) -> list[Path]:
     """The pictures that a file holds: itself, or the pages of a stack, which is a TIFF file.
 
     They are told as if they lay in it: ``scan.tif/scan_01.tif`` is the first of ten or more. Raises
-    InputError if pages of full size differ in size or kind, or the file is damaged, or none.
+    InputError if pages of full size differ in size or kind, or have one colour each, as ImageJ and
+    OME write 16-bit colours; or the file is damaged, or none.
     """
     with open_file(path) as file:
-        head = file.read(64)
+        head = file.read(1 << 16)  # with the description that these programs write first
     kind = _core.image_format(head)
     if kind != "TIFF" or raw_files.is_raw(path, head, kind) or (n := _core.tiff_pages(path)) == 1:
         return [path]
+    if _OF_CHANNELS.search(head):
+        found = "one for each channel: save it as RGB"
+        raise InputError(f"{path}: expected pages that are pictures, found {found}")
     return [path / f"{path.stem}_{i + 1:0{len(str(n))}}{path.suffix}" for i in range(n)]
 
 

@@ -131,6 +131,17 @@ def test_pages_of_a_stack_are_pictures(tmp_path: Path, written: Any, count: int,
     assert images.pages(tmp_path / "b.png") == [tmp_path / "b.png"]
 
 
+@pytest.mark.parametrize("how", [{"imagej": True}, {"ome": True}])
+def test_pages_that_are_channels_are_refused(tmp_path: Path, how: Any) -> None:
+    path = tmp_path / "a.tif"
+    channels = {"axes": "CYX", "mode": "composite"}
+    tifffile.imwrite(path, np.moveaxis(RGB16, -1, 0), **how, metadata=channels)
+    with pytest.raises(InputError, match=r"a\.tif: expected pages that are pictures, found one"):
+        images.pages(path)
+    tifffile.imwrite(path, np.stack(STACK[:3]), **how)  # whose channels are not pages
+    assert len(images.pages(path)) == 3
+
+
 @pytest.mark.parametrize("options", [{}, {"subsampling": 0}])
 def test_ycbcr_of_jpeg(tmp_path: Path, options: dict[str, Any]) -> None:
     path = tmp_path / "a.tif"

@@ -457,6 +457,7 @@ def rgb(layer: str, letters: str = "RGB", factor: float = 1) -> dict[str, NDArra
 
 
 OTHERS = rgb("View.Normal.", "XYZ") | rgb("View.DiffCol.") | {"View.Depth.Z": FLOAT[..., 0]}
+NUKE = "red", "green", "blue"
 LAYERS: dict[str, tuple[dict[str, NDArray[Any]], str | None, str]] = {
     # what is stored, which layer is asked for, which is read or what is refused
     "plain": (rgb("") | rgb("rgba.", factor=2) | OTHERS, None, ""),
@@ -464,6 +465,8 @@ LAYERS: dict[str, tuple[dict[str, NDArray[Any]], str | None, str]] = {
     "rgba": (rgb("rgba.") | rgb("diffuse.", factor=2) | OTHERS, None, "rgba"),
     "beauty": (rgb("Beauty.") | rgb("diffuse.", factor=2), None, "Beauty"),
     "blender": (rgb("V.Combined.") | rgb("V.Emit.", factor=2) | OTHERS, None, "V.Combined"),
+    "of Nuke": ({f"a.{c}": FLOAT[..., "rgb".index(c[0])] for c in NUKE} | OTHERS, None, "a"),
+    "beside short normals": (rgb("diffuse.") | rgb("N.", factor=2), None, "diffuse"),
     "the only one": (rgb("diffuse.") | OTHERS | rgb("diffuse.limits.", factor=0), None, "diffuse"),
     "by name": (rgb("") | rgb("a.", factor=2) | rgb("b."), "b", "b"),
     "by its end": (rgb("View.Combined.", factor=2) | rgb("View.Emit."), "emit", "View.Emit"),
@@ -473,6 +476,7 @@ LAYERS: dict[str, tuple[dict[str, NDArray[Any]], str | None, str]] = {
     "two views": (rgb("a.rgba.") | rgb("b.rgba."), None, r"one layer of .*, found a\.rgba\.R a"),
     "two ends": (rgb("a.x.") | rgb("b.x."), "x", r"one layer of channels R, G, B or Y in layer x"),
     "data": (OTHERS, None, r"channels .* in layers View\.Depth, View\.DiffCol, View\.Normal"),
+    "a path": (OTHERS, "C:\renders\new", r"channels R, G, B or Y in layer C:\\renders\\new, found"),
     "unknown": (rgb("") | OTHERS, "albedo", "channels R, G, B or Y in layer albedo, found B, G"),
 }  # fmt: skip
 

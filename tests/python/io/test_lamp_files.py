@@ -253,6 +253,12 @@ BAD_FILES: dict[str, tuple[str, str, str]] = {
     ),
     "two decimal marks": ("d.lp", "1\na 0,6 0 0.8\n", "numbers as 0.5 or all as 0,5, found '0,6'"),
     "thousands": ("lights.csv", "a;1,200;0;900\n", "numbers as 0.5 or all as 0,5, found '1,200'"),
+    "strengths in .lp": ("d.lp", "1\na.jpg 0.1 0 0.9 1.0\n", "expected file name, x, y, z, found"),
+    "angles": (
+        "lights.csv",
+        "a,azimuth,elevation\nb,1,2\n",
+        "expected a table .* found a, azimuth",
+    ),
     "colours in .lp": ("d.lp", "1\na.jpg 0.1 0 0.9 1 1 1\n", "expected file name, x, y, z, found"),
     "too many": ("lights.csv", "a,0,0,1\n" * 10_001, "expected at most 10000 lamps, found 10001"),
     "no JSON": ("lights.json", "[", "lights.json: expected JSON with version and lamps"),
