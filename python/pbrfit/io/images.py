@@ -76,7 +76,7 @@ class Picture:
     pixels: NDArray[np.float32]
     """(H, W, 3), linear Rec.709 with D65, float32."""
     alpha: NDArray[np.float32] | None
-    """(H, W), coverage in [0, 1], float32, not averaged, or None. Colours are as stored."""
+    """(H, W), coverage in [0, 1], float32, not averaged, or None."""
     limits: Limits | None
     """(H, W, 3), uint8: `AT_LEAST` or `AT_MOST` where `pixels` bound the radiance, as a code is
     outside the code range, or an EXR file's layer says so; 0 elsewhere. None = nowhere."""
@@ -110,6 +110,8 @@ class _Decoded:
     curve_told: bool = True
     turn: int = 1
     """EXIF orientation that is still to be applied."""
+    premultiplied: bool = False
+    """Whether colours are multiplied by alpha, if there is one."""
     limits: Limits | None = None
     """(H, W, 3): what the file says of them, beside the range of its codes."""
     notes: tuple[str, ...] = ()
@@ -124,6 +126,7 @@ def read_picture(
     code_range: tuple[int, int] | None = None,
     orientation: Orientation = "exif",
     color_matrix: ArrayLike | None = None,
+    straight: bool = True,
     place: Callable[[tuple[int, ...]], Place] | None = None,
     look: int | None = None,
 ) -> Picture:
@@ -134,8 +137,10 @@ def read_picture(
     (EXR, HDR, float TIFF) are linear Rec.709, or linear in the chromaticities that an EXR or HDR
     file states; raw files are developed to that (`raw_files`). Grey is repeated to three channels.
 
-    A `color_matrix` (3, 3) is applied after that. Of an EXR file a `layer` is read by name, with or
-    without what stands before its last dot; else channels as of `layers.PICTURE`.
+    A `color_matrix` (3, 3) is applied after that. Colours that are multiplied by alpha, as in EXR
+    and some TIFF files, become `straight` where alpha is at least half. Of an EXR file a `layer` is
+    read by name, with or without what stands before its last dot; else channels as of
+    `layers.PICTURE`.
 
     `code_range` is the lowest and the highest code of 255 that is data; others are marked in
     `limits`, channel by channel; None = `CODE_RANGE` of a JPEG file, of others all but 0 and the
@@ -168,6 +173,8 @@ def read_picture(
         convert = Conversion(convert.curve, np.asarray(color_matrix, np.float64) @ before)
 
     samples, turn = found.samples, found.turn
+    if found.premultiplied and straight and samples.shape[2] in (2, 4):
+        samples = _straight(samples)
     to = (place or Place.new)(exif.turned(samples, turn).shape[:2])
     step = 1
     if look is not None and samples.shape[2] in (1, 3):
@@ -414,7 +421,9 @@ def _of_raster(
         taken = replace(taken, settings={**taken.settings, "colour profile": profile})
     elif decide and raster.icc_profile is not None:
         doubts.append(f"{path}: its ICC profile is ignored because it is a float file")
-    return _Decoded(samples, convert, color, taken, told, turn, None, tuple(notes), tuple(doubts))
+    multiplied = raster.format == "TIFF" and taken.premultiplied
+    told_of = (tuple(notes), tuple(doubts))
+    return _Decoded(samples, convert, color, taken, told, turn, multiplied, None, *told_of)
 
 
 def _integer_color(
@@ -470,6 +479,19 @@ def _stated(path: Path, curve: Curve | float, primaries: Primaries) -> Conversio
         raise InputError(f"{path}: {error}") from None
 
 
+def _straight(samples: NDArray[Any]) -> NDArray[Any]:
+    """Samples (H, W, 2 or 4), colours over their alpha where that is from a half up to 1."""
+    unit = np.iinfo(samples.dtype).max if samples.dtype.kind == "u" else 1
+    alpha = samples[..., -1:] / np.float32(unit)
+    part = (alpha >= 0.5) & (alpha < 1)
+    if not part.any():
+        return samples
+    colors = samples[..., :-1] / np.where(part, alpha, np.float32(1))
+    if unit > 1:
+        colors = np.rint(np.minimum(colors, unit))
+    return np.concatenate([colors.astype(samples.dtype), samples[..., -1:]], axis=-1)
+
+
 def _of_exr(path: Path, data: bytes, layer: str | None) -> _Decoded:
     channels, chromaticities = _core.decode_exr(data, path)
     expected = "channels R, G, B or Y"
@@ -503,4 +525,5 @@ def _of_exr(path: Path, data: bytes, layer: str | None) -> _Decoded:
     else:
         color = "linear, converted from the EXR's chromaticities"
     color = f"layer {shown(of)}, {color}" if of else color
-    return _Decoded(np.stack(found, axis=-1), linear, color, limits=limits)
+    samples = np.stack(found, axis=-1)
+    return _Decoded(samples, linear, color, premultiplied=True, limits=limits)
