@@ -420,10 +420,25 @@ def _of_raster(
         profile = coding.nearest_name(convert, samples.dtype) or unnamed
         taken = replace(taken, settings={**taken.settings, "colour profile": profile})
     elif decide and raster.icc_profile is not None:
-        doubts.append(f"{path}: its ICC profile is ignored because it is a float file")
+        if linear := _of_linear_profile(path, raster.icc_profile):
+            convert, color = linear, "linear, ICC profile of the float TIFF"
+        else:
+            said = (
+                "its ICC profile is ignored because it is a float file and the profile not linear"
+            )
+            doubts.append(f"{path}: {said}")
     multiplied = raster.format == "TIFF" and taken.premultiplied
     told_of = (tuple(notes), tuple(doubts))
     return _Decoded(samples, convert, color, taken, told, turn, multiplied, None, *told_of)
+
+
+def _of_linear_profile(path: Path, profile: bytes) -> Conversion | None:
+    """Conversion by an ICC profile whose curves are linear, to 1/255; None = it is another."""
+    with contextlib.suppress(InputError):
+        curves, to_xyz = _core.decode_icc(profile, 256, path)
+        if np.abs(curves - np.linspace(0, 1, 256)).max() <= 1 / 255:
+            return Conversion("linear", coding.from_icc(curves, to_xyz).matrix)
+    return None
 
 
 def _integer_color(

@@ -403,6 +403,12 @@ def test_float_tiff_is_linear(
     with caplog.at_level(logging.WARNING, logger="pbrfit"):
         np.testing.assert_array_equal(images.read_picture(path).pixels, pixels)
     assert "ICC profile is ignored because it is a float file" in caplog.text
+    caplog.clear()
+    tiff(pixels, iccprofile=icc_rgb(color.REC2020, icc_gamma(1)))(path)  # as darktable exports
+    expected = pixels.astype(np.float32) @ color.to_rec709(color.REC2020).T
+    np.testing.assert_allclose(images.read_picture(path).pixels, expected, atol=1e-3)
+    np.testing.assert_array_equal(images.read_picture(path, "linear").pixels, pixels)
+    assert not caplog.records
 
 
 def test_radiance_hdr_of_both_signatures_and_encodings(tmp_path: Path) -> None:
