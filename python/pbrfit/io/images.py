@@ -509,6 +509,8 @@ def _straight(samples: NDArray[Any]) -> NDArray[Any]:
 
 def _of_exr(path: Path, data: bytes, layer: str | None) -> _Decoded:
     channels, chromaticities = _core.decode_exr(data, path)
+    if chromaticities is not None and not any(chromaticities):
+        chromaticities = None  # eight zeros are in files that know none
     expected = "channels R, G, B or Y"
     of, names = layers.chosen(path, channels, layers.PICTURE, expected, layer)
     found = [channels[name] for name in names]

@@ -25,7 +25,7 @@ _CHROMA = (("Y", "RY", "BY", "A"), ("Y", "RY", "BY"))
 # Plain channels, those of what renderers call the picture, or of the only layer with light.
 PICTURE: tuple[Rule, ...] = (
     ((*_COLORS, *_CHROMA), "^$"),
-    (_COLORS, r"(^|\.)(rgba?|beauty|combined)$"),
+    (_COLORS, r"(^|\.)(rgba?|beauty|combined|ci?)$"),
     (_GREY, "^$"),
     (_COLORS, rf"^(?!.*(normal|(^|\.)n$|albedo|col$|limits|matte|mask|depth|{VECTORS})).+$"),
 )

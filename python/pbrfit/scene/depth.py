@@ -92,7 +92,10 @@ def without_holes(depth: NDArray[Any], *, inverse: bool = False) -> tuple[Depth,
         kept: Depth = depth.astype(np.float32)
         hit = (kept > 1 / DEPTH_MAX) & (kept < DEPTH_MAX)  # products of less are denormal: slow
     if not hit.any():
-        raise InputError(f"depth: expected distances above 0, found none below {DEPTH_MAX:g}")
+        found = f"none below {DEPTH_MAX:g}"
+        if (numbers := kept[np.isfinite(kept)]).size:
+            found += f" but {numbers.min():.3g} to {numbers.max():.3g}"
+        raise InputError(f"depth: expected distances above 0, found {found}")
     notes = []
     if holes := int(np.count_nonzero(~hit & ~np.isnan(kept))):
         notes.append(f"{holes} pixels of 0, negative or infinite depth left out")

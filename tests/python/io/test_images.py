@@ -450,6 +450,8 @@ def test_lossy_exr_compressions_agree_with_openexr(tmp_path: Path, compression: 
 
 
 def test_exr_chromaticities_of_rec709_or_grey_change_nothing(tmp_path: Path) -> None:
+    path = save_exr(tmp_path / "z.exr", {"RGB": FLOAT}, chromaticities=(0.0,) * 8)
+    np.testing.assert_array_equal(images.read_picture(path).pixels, FLOAT)
     rec709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
     path = save_exr(tmp_path / "a.exr", {"RGB": FLOAT}, chromaticities=rec709)
     np.testing.assert_array_equal(images.read_picture(path).pixels, FLOAT)
@@ -472,6 +474,7 @@ LAYERS: dict[str, tuple[dict[str, NDArray[Any]], str | None, str]] = {
     "beauty": (rgb("Beauty.") | rgb("diffuse.", factor=2), None, "Beauty"),
     "blender": (rgb("V.Combined.") | rgb("V.Emit.", factor=2) | OTHERS, None, "V.Combined"),
     "of Nuke": ({f"a.{c}": FLOAT[..., "rgb".index(c[0])] for c in NUKE} | OTHERS, None, "a"),
+    "of Houdini": (rgb("C.") | rgb("albedo.", factor=2) | rgb("diffuse.", factor=2), None, "C"),
     "beside short normals": (rgb("diffuse.") | rgb("N.", factor=2), None, "diffuse"),
     "the only one": (rgb("diffuse.") | OTHERS | rgb("diffuse.limits.", factor=0), None, "diffuse"),
     "by name": (rgb("") | rgb("a.", factor=2) | rgb("b."), "b", "b"),

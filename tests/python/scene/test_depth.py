@@ -67,6 +67,7 @@ def test_what_is_no_distance_becomes_unknown_and_is_told() -> None:
     [
         (np.ones((SIZE, SIZE + 1)), r"depth: expected shape \(48, 48\), found \(48, 49\)"),
         (np.zeros((SIZE, SIZE)), "depth: expected distances above 0, found none"),
+        (np.full((SIZE, SIZE), -2.5), "above 0, found none below 1e[+]09 but -2.5 to -2.5"),
         (np.full((SIZE, SIZE), np.nan), "depth: expected distances above 0, found none"),
         (np.full((SIZE, SIZE), 1j), "depth: expected real numbers, found complex128"),
     ],
