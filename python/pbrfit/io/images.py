@@ -54,8 +54,8 @@ colour, 15 to 22 % come back with all channels below 254, and 5 to 9 % with all 
 takes 2 % of the sound samples of bright photographs for clipped."""
 
 _OF_CHANNELS = re.compile(
-    rb"ImageJ=[^\0]*\nchannels=[34]\n[^\0]*mode=co"
-    rb"|SizeC=.[34][^>]*>\s*<Channel[^>]*SamplesPerPixel=.1\b"
+    rb"ImageJ=[^\0]{0,200}\nchannels=[34]\n[^\0]{0,200}mode=co"
+    rb"|SizeC=.[34][^>]{0,200}>\s{0,99}<Channel[^>]{0,200}SamplesPerPixel=.1\b"
 )
 """In the description of a TIFF file (by ImageJ, or OME) whose pages are channels of a picture."""
 
@@ -423,13 +423,11 @@ def _of_raster(
         if linear := _of_linear_profile(path, raster.icc_profile):
             convert, color = linear, "linear, ICC profile of the float TIFF"
         else:
-            said = (
-                "its ICC profile is ignored because it is a float file and the profile not linear"
-            )
+            said = "its ICC profile is ignored because it is a float file's and not linear"
             doubts.append(f"{path}: {said}")
     multiplied = raster.format == "TIFF" and taken.premultiplied
-    told_of = (tuple(notes), tuple(doubts))
-    return _Decoded(samples, convert, color, taken, told, turn, multiplied, None, *told_of)
+    found = _Decoded(samples, convert, color, taken, told, turn, multiplied)
+    return replace(found, notes=tuple(notes), warnings=tuple(doubts))
 
 
 def _of_linear_profile(path: Path, profile: bytes) -> Conversion | None:

@@ -44,6 +44,7 @@ NORMALS: tuple[Rule, ...] = (
 # Of colours and vectors the first channel is no depth; whoever reads them refuses that.
 DEPTH: tuple[Rule, ...] = (
     (("Z", ("DEPTH",)), "^$"),
+    (("Z", "V", "Y", "RGB", "R", "X"), r"(^|\.)depth$"),
     (("Z", "V", "Y", "RGB", "R", "X"), "depth$"),
     (("XYZ", "Z", ("DEPTH",)), rf"^(?!.*({VECTORS}|normal|(^|\.)n$|mist)).+$"),
     (("Y", "RGB", "R"), "^$"),

@@ -263,6 +263,7 @@ def test_depth_keeps_the_unit_of_its_file(folder: Path, tmp_path: Path) -> None:
     (("R", "B", "left.depth"), "left.depth"),
     (("VRayZDepth.R", "R", "N.Z"), "VRayZDepth.R"),
     (("depth_Z", "R", "N_Z"), "depth_Z"),
+    (("V.Denoising Depth.Z", "V.Depth.Z", "R"), "V.Depth.Z"),
     (("R", "G", "B", "dd.T"), "depth in one channel, found colours or vectors"),
     (("nn.X", "nn.Y", "nn.Z"), "depth in one channel, found colours or vectors"),
     (("a.Depth.Z", "b.Depth.Z", "Y"), "one layer of depth .*, found a.Depth.Z, b.Depth.Z"),
