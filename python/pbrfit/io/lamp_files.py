@@ -182,7 +182,7 @@ def _of_lp(path: Path) -> list[LampRow]:
 def _of_csv(path: Path) -> list[LampRow]:
     expected = f"a table with the columns {', '.join(COLUMNS[:4])}, and maybe r, g, b and kind"
     lines = _lines(path)
-    told = re.fullmatch(r'"?sep=([;,|\t ])"?\s*', lines[0], re.IGNORECASE) if lines else None
+    told = re.fullmatch(r'"?sep\s*=\s*([;,|\t ])"?\s*', lines[0], re.IGNORECASE) if lines else None
     lines = lines[bool(told) :]
     first = next((i for i, line in enumerate(lines) if _is_row(line)), None)
     if first is None:

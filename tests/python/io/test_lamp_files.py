@@ -66,7 +66,7 @@ FORMS: dict[str, tuple[str, str, str]] = {
         "z,kind,Picture,X,y\n.8,far,a,.6,0\n.8,,b,0,.6\n1,FAR,c,0,0",
         "utf-8",
     ),
-    "German Excel": ("lights.csv", "sep=;\r\n" + GERMAN.replace("\n", "\r\n"), "utf-8-sig"),
+    "German Excel": ("lights.csv", "sep = ;\r\n" + GERMAN.replace("\n", "\r\n"), "utf-8-sig"),
     "German Excel, ANSI": ("lights.csv", f"# für später\n{GERMAN}", "cp1252"),
     "no header, decimal commas": ("lights.csv", GERMAN.partition("\n")[2], "utf-8"),
     "Unicode text": ("lights.csv", GERMAN.replace(";", "\t"), "utf-16"),

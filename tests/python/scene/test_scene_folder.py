@@ -272,6 +272,8 @@ def test_alpha_and_mask_leave_pixels_out(folder: Path) -> None:
     scene = Scene.load(folder)
     np.testing.assert_array_equal(scene.valid, expected)
     assert scene.assumed["alpha"] == f"{SIZE} transparent pixels left out"
+    np.testing.assert_allclose(scene.images[0, 1:3], image[1:3] / alpha[1:3, :, None], rtol=1e-6)
+    np.testing.assert_allclose(Scene.load(folder, alpha="ignore").images[0], image, rtol=1e-6)
 
     expected[:, 3:] = False
     white = np.zeros((SIZE, SIZE), bool)
