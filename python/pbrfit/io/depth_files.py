@@ -47,12 +47,13 @@ def read_depth(
             expected = "depth in a channel Z, depth.Z, Y or R"
             _, names = layers.chosen(path, stored, layers.DEPTH, expected)
         said += [f"channel {shown(names[0])}"] * (names[0] != "Z")
-        stored = stored[names[0]]
+        stored = np.stack([stored[name] for name in names], axis=-1)
     elif stored.ndim == 3 and len(stored) == 1:
         stored = stored[0]
-    elif stored.ndim == 3 and stored.shape[-1] <= 4:  # of a picture, maybe with alpha
-        if stored.shape[-1] > 2 and (stored[..., 1:3] != stored[..., :1]).any():
-            found = "colours, which cannot be read back"
+    if stored.ndim == 3 and stored.shape[-1] <= 4:  # of a picture, maybe with alpha
+        grey = np.broadcast_to(stored[..., :1], stored[..., :3].shape)
+        if stored.shape[-1] > 2 and not np.array_equal(stored[..., :3], grey, equal_nan=True):
+            found = "colours or vectors, which cannot be read back"
             raise InputError(f"{path}: expected depth in one channel, found {found}")
         stored = stored[..., 0]
     if stored.ndim != 2:

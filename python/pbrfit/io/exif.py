@@ -25,6 +25,8 @@ class Exif:
     """Millimetres; None = unknown."""
     color_space: str | None = None
     """ "adobe-rgb", or "uncalibrated" (neither that nor sRGB); None = sRGB, or nothing is said."""
+    premultiplied: bool = False
+    """Whether colours of a TIFF file are multiplied by its alpha."""
     settings: Mapping[str, str] = field(default_factory=dict)
     """Camera, focal length, exposure, orientation and colour profile in words, where known."""
 
@@ -72,7 +74,9 @@ def read(exif: bytes | None, orientation: int) -> Exif:
     # 2 is not of the standard: some cameras write it. R03 is the DCF's option file, Adobe RGB.
     if stated == 2 or (color_space and index.startswith("R03")):
         color_space = "adobe-rgb"
-    return Exif(equivalent, color_space, {what: said for what, said in settings.items() if said})
+    premultiplied = tags.get(Tag.ExtraSamples) in (1, (1,))
+    known = {what: said for what, said in settings.items() if said}
+    return Exif(equivalent, color_space, premultiplied, known)
 
 
 @contextmanager

@@ -53,6 +53,12 @@ smears clipped areas: of samples that were clipped before a JPEG of quality 75 t
 colour, 15 to 22 % come back with all channels below 254, and 5 to 9 % with all below 251, which
 takes 2 % of the sound samples of bright photographs for clipped."""
 
+_OF_CHANNELS = re.compile(
+    rb"ImageJ=[^\0]{0,200}\nchannels=[34]\n[^\0]{0,200}mode=co"
+    rb"|SizeC=.[34][^>]{0,200}>\s{0,99}<Channel[^>]{0,200}SamplesPerPixel=.1\b"
+)
+"""In the description of a TIFF file (by ImageJ, or OME) whose pages are channels of a picture."""
+
 _OTHERS = {
     rb"....ftyp(hei[cxms]|hevc|m[is]f1|avif)": "HEIC or AVIF: convert it first, for example with "
     "`heif-convert {0.name} {0.stem}.png`",
@@ -70,7 +76,7 @@ class Picture:
     pixels: NDArray[np.float32]
     """(H, W, 3), linear Rec.709 with D65, float32."""
     alpha: NDArray[np.float32] | None
-    """(H, W), coverage in [0, 1], float32, not averaged, or None. Colours are as stored."""
+    """(H, W), coverage in [0, 1], float32, not averaged, or None."""
     limits: Limits | None
     """(H, W, 3), uint8: `AT_LEAST` or `AT_MOST` where `pixels` bound the radiance, as a code is
     outside the code range, or an EXR file's layer says so; 0 elsewhere. None = nowhere."""
@@ -104,6 +110,8 @@ class _Decoded:
     curve_told: bool = True
     turn: int = 1
     """EXIF orientation that is still to be applied."""
+    premultiplied: bool = False
+    """Whether colours are multiplied by alpha, if there is one."""
     limits: Limits | None = None
     """(H, W, 3): what the file says of them, beside the range of its codes."""
     notes: tuple[str, ...] = ()
@@ -118,6 +126,7 @@ def read_picture(
     code_range: tuple[int, int] | None = None,
     orientation: Orientation = "exif",
     color_matrix: ArrayLike | None = None,
+    straight: bool = True,
     place: Callable[[tuple[int, ...]], Place] | None = None,
     look: int | None = None,
 ) -> Picture:
@@ -128,8 +137,10 @@ def read_picture(
     (EXR, HDR, float TIFF) are linear Rec.709, or linear in the chromaticities that an EXR or HDR
     file states; raw files are developed to that (`raw_files`). Grey is repeated to three channels.
 
-    A `color_matrix` (3, 3) is applied after that. Of an EXR file a `layer` is read by name, with or
-    without what stands before its last dot; else channels as of `layers.PICTURE`.
+    A `color_matrix` (3, 3) is applied after that. Colours that are multiplied by alpha, as in EXR
+    and some TIFF files, become `straight` where alpha is at least half. Of an EXR file a `layer` is
+    read by name, with or without what stands before its last dot; else channels as of
+    `layers.PICTURE`.
 
     `code_range` is the lowest and the highest code of 255 that is data; others are marked in
     `limits`, channel by channel; None = `CODE_RANGE` of a JPEG file, of others all but 0 and the
@@ -144,7 +155,7 @@ def read_picture(
     page = int(path.stem.rpartition("_")[2]) - 1 if file != path else None
     _, data, form = _load(file, raw=True)
     if layer is not None and form != "EXR":
-        raise InputError(f"{path}: expected an EXR file with layer {layer}, found {form}")
+        raise InputError(f"{path}: expected an EXR file with layer {shown(layer)}, found {form}")
     if form == RAW and color_space not in (None, "linear"):
         expected = "expected colour space linear for a raw file"
         raise InputError(f"{path}: {expected}, found {color_space}")
@@ -162,6 +173,8 @@ def read_picture(
         convert = Conversion(convert.curve, np.asarray(color_matrix, np.float64) @ before)
 
     samples, turn = found.samples, found.turn
+    if found.premultiplied and straight and samples.shape[2] in (2, 4):
+        samples = _straight(samples)
     to = (place or Place.new)(exif.turned(samples, turn).shape[:2])
     step = 1
     if look is not None and samples.shape[2] in (1, 3):
@@ -224,13 +237,17 @@ def pages(path: Path) -> list[Path]:
     """The pictures that a file holds: itself, or the pages of a stack, which is a TIFF file.
 
     They are told as if they lay in it: ``scan.tif/scan_01.tif`` is the first of ten or more. Raises
-    InputError if pages of full size differ in size or kind, or the file is damaged, or none.
+    InputError if pages of full size differ in size or kind, or have one colour each, as ImageJ and
+    OME write 16-bit colours; or the file is damaged, or none.
     """
     with open_file(path) as file:
-        head = file.read(64)
+        head = file.read(1 << 16)  # with the description that these programs write first
     kind = _core.image_format(head)
     if kind != "TIFF" or raw_files.is_raw(path, head, kind) or (n := _core.tiff_pages(path)) == 1:
         return [path]
+    if _OF_CHANNELS.search(head):
+        found = "one for each channel: save it as RGB"
+        raise InputError(f"{path}: expected pages that are pictures, found {found}")
     return [path / f"{path.stem}_{i + 1:0{len(str(n))}}{path.suffix}" for i in range(n)]
 
 
@@ -403,8 +420,23 @@ def _of_raster(
         profile = coding.nearest_name(convert, samples.dtype) or unnamed
         taken = replace(taken, settings={**taken.settings, "colour profile": profile})
     elif decide and raster.icc_profile is not None:
-        doubts.append(f"{path}: its ICC profile is ignored because it is a float file")
-    return _Decoded(samples, convert, color, taken, told, turn, None, tuple(notes), tuple(doubts))
+        if linear := _of_linear_profile(path, raster.icc_profile):
+            convert, color = linear, "linear, ICC profile of the float TIFF"
+        else:
+            said = "its ICC profile is ignored because it is a float file's and not linear"
+            doubts.append(f"{path}: {said}")
+    multiplied = raster.format == "TIFF" and taken.premultiplied
+    found = _Decoded(samples, convert, color, taken, told, turn, multiplied)
+    return replace(found, notes=tuple(notes), warnings=tuple(doubts))
+
+
+def _of_linear_profile(path: Path, profile: bytes) -> Conversion | None:
+    """Conversion by an ICC profile whose curves are linear, to 1/255; None = it is another."""
+    with contextlib.suppress(InputError):
+        curves, to_xyz = _core.decode_icc(profile, 256, path)
+        if np.abs(curves - np.linspace(0, 1, 256)).max() <= 1 / 255:
+            return Conversion("linear", coding.from_icc(curves, to_xyz).matrix)
+    return None
 
 
 def _integer_color(
@@ -460,8 +492,23 @@ def _stated(path: Path, curve: Curve | float, primaries: Primaries) -> Conversio
         raise InputError(f"{path}: {error}") from None
 
 
+def _straight(samples: NDArray[Any]) -> NDArray[Any]:
+    """Samples (H, W, 2 or 4), colours over their alpha where that is from a half up to 1."""
+    unit = np.iinfo(samples.dtype).max if samples.dtype.kind == "u" else 1
+    alpha = samples[..., -1:] / np.float32(unit)
+    part = (alpha >= 0.5) & (alpha < 1)
+    if not part.any():
+        return samples
+    colors = samples[..., :-1] / np.where(part, alpha, np.float32(1))
+    if unit > 1:
+        colors = np.rint(np.minimum(colors, unit))
+    return np.concatenate([colors.astype(samples.dtype), samples[..., -1:]], axis=-1)
+
+
 def _of_exr(path: Path, data: bytes, layer: str | None) -> _Decoded:
     channels, chromaticities = _core.decode_exr(data, path)
+    if chromaticities is not None and not any(chromaticities):
+        chromaticities = None  # eight zeros are in files that know none
     expected = "channels R, G, B or Y"
     of, names = layers.chosen(path, channels, layers.PICTURE, expected, layer)
     found = [channels[name] for name in names]
@@ -493,4 +540,5 @@ def _of_exr(path: Path, data: bytes, layer: str | None) -> _Decoded:
     else:
         color = "linear, converted from the EXR's chromaticities"
     color = f"layer {shown(of)}, {color}" if of else color
-    return _Decoded(np.stack(found, axis=-1), linear, color, limits=limits)
+    samples = np.stack(found, axis=-1)
+    return _Decoded(samples, linear, color, premultiplied=True, limits=limits)

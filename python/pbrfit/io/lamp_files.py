@@ -58,6 +58,11 @@ _is_row = re.compile(r"\s*[^#\s]").match
 _EXTENSION = r"\.(?=\w*[^\W\d])\w{1,5}"
 """Up to five letters and digits, not digits alone: those of `scan.001` tell scans apart."""
 
+_MORE_NUMBERS = re.compile(
+    rf"(\s[-+]?\d*\.\d+(\s+[-+]?[\d.]+){{2}}|{_EXTENSION}(\s+[-+]?\d*\.\d+)+)$"
+)
+"""End of a name with more columns of `.lp` in it: three numbers, or some behind a suffix."""
+
 Vector = tuple[float, float, float]
 
 UNKNOWN: Vector = (math.nan, math.nan, math.nan)
@@ -167,7 +172,7 @@ def _of_lp(path: Path) -> list[LampRow]:
         spaced = line.rstrip(" \t,;").replace(";", " ").replace(", ", "  ")
         parts = spaced.rsplit(maxsplit=3)
         name = line[: len(parts[0])].strip()
-        if len(parts) != 4 or re.search(r"\s[-+]?\d*\.\d+(\s+[-+]?[\d.]+){2}$", name):
+        if len(parts) != 4 or _MORE_NUMBERS.search(name):
             where = f"{path}: lamp {i + 1}"
             raise InputError(f"{where}: expected file name, x, y, z, found {quoted(line)}")
         rows.append((name, *parts[1:]))
@@ -177,7 +182,7 @@ def _of_lp(path: Path) -> list[LampRow]:
 def _of_csv(path: Path) -> list[LampRow]:
     expected = f"a table with the columns {', '.join(COLUMNS[:4])}, and maybe r, g, b and kind"
     lines = _lines(path)
-    told = re.fullmatch(r'"?sep=([;,|\t ])"?\s*', lines[0], re.IGNORECASE) if lines else None
+    told = re.fullmatch(r'"?sep\s*=\s*([;,|\t ])"?\s*', lines[0], re.IGNORECASE) if lines else None
     lines = lines[bool(told) :]
     first = next((i for i, line in enumerate(lines) if _is_row(line)), None)
     if first is None:
@@ -192,6 +197,8 @@ def _of_csv(path: Path) -> list[LampRow]:
     heads = [tuple(SYNONYMS.get(n, n) for n in of.rstrip(",").split(",")) for of in named]
     header = next((head for head in heads if {"x", "y", "z"} <= set(head)), ())
     found, hint, wide = "", "", max(map(len, rows))
+    if not header and not any(map(re.compile(r"\d").search, rows[0])):
+        header = heads[-1]  # of other columns
     if separator == "," and not any("." in cell for row in rows for cell in row[1:]):
         hint = "; numbers with decimal commas need semicolons or tabs between columns"
     if header:

@@ -7,13 +7,16 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from pbrfit._core import InputError
-from pbrfit.io.quoting import listed
+from pbrfit.io.quoting import listed, shown
 
 Rule = tuple[Sequence[Sequence[str]], str]
 """Sets of channels, the best first, and a pattern of the names of layers that may have them."""
 
 VECTORS = r"position|vector|uv|motion|velocity|tangent|crypto|(^|\.)p(world)?$"
 """Words in the names of layers that hold vectors which are no normals."""
+
+_CHANNEL = re.compile(r"((?:.*[._])?n?)(red|green|blue|alpha|[rgbaxyz])", re.IGNORECASE)
+"""Names as `N.X`, `N_x`, `Nx` and `N.red`: a layer and its channel."""
 
 _GREY = ("YA", "Y")
 _COLORS = ("RGBA", "RGB")
@@ -22,9 +25,9 @@ _CHROMA = (("Y", "RY", "BY", "A"), ("Y", "RY", "BY"))
 # Plain channels, those of what renderers call the picture, or of the only layer with light.
 PICTURE: tuple[Rule, ...] = (
     ((*_COLORS, *_CHROMA), "^$"),
-    (_COLORS, r"(^|\.)(rgba?|beauty|combined)$"),
+    (_COLORS, r"(^|\.)(rgba?|beauty|combined|ci?)$"),
     (_GREY, "^$"),
-    (_COLORS, rf"^(?!.*(normal|albedo|col$|limits|matte|mask|depth|{VECTORS})).+$"),
+    (_COLORS, rf"^(?!.*(normal|(^|\.)n$|albedo|col$|limits|matte|mask|depth|{VECTORS})).+$"),
 )
 
 _NORMAL = r"(^|\.)(n|normals?)$"
@@ -38,11 +41,13 @@ NORMALS: tuple[Rule, ...] = (
     (("XY", "RG"), rf"^$|{_NORMAL}"),
 )
 
+# Of colours and vectors the first channel is no depth; whoever reads them refuses that.
 DEPTH: tuple[Rule, ...] = (
     (("Z", ("DEPTH",)), "^$"),
-    (("Z", "V", "Y", "R", "X"), "depth$"),
-    (("Z", ("DEPTH",)), rf"^(?!.*({VECTORS}|normal|(^|\.)n$|mist)).+$"),
-    (("Y", "R"), "^$"),
+    (("Z", "V", "Y", "RGB", "R", "X"), r"(^|\.)depth$"),
+    (("Z", "V", "Y", "RGB", "R", "X"), "depth$"),
+    (("XYZ", "Z", ("DEPTH",)), rf"^(?!.*({VECTORS}|normal|(^|\.)n$|mist)).+$"),
+    (("Y", "RGB", "R"), "^$"),
 )
 
 
@@ -51,17 +56,20 @@ def chosen(
 ) -> tuple[str, list[str]]:
     """A layer and the full names of its channels, by the first rule that finds some.
 
-    Case does not count. A given `layer` is sought by its whole name, else by the end of one:
-    ``Combined`` is also ``ViewLayer.Combined``. InputError if no rule finds `what`, or one several.
+    Names are as of `_CHANNEL`, and case does not count. A given `layer` is sought by its whole
+    name, else by the end of one: ``Combined`` is also ``ViewLayer.Combined``. InputError if no rule
+    finds `what`, or one several.
     """
     layers: dict[str, dict[str, str]] = {}
     for name in sorted(names):  # R before r
         of, _, channel = name.rpartition(".")
+        if parts := _CHANNEL.fullmatch(name):
+            of, channel = parts[1].rstrip("._"), parts[2][0]
         layers.setdefault(of, {}).setdefault(channel.upper(), name)
     if layer is not None:
         every = [kind for kinds, _ in rules for kind in kinds]
         rules = [(every, rf"{start}{re.escape(layer)}$") for start in ("^", r"\.")]
-        what += f" in layer {layer}"
+        what += f" in layer {shown(layer)}"
     for kinds, called in rules:
         found: dict[str, list[str]] = {}
         for of, channels in layers.items():

@@ -98,10 +98,11 @@ def read_normals(path: Path, mask: NDArray[np.bool_] | None = None) -> StoredNor
     Integers of a picture are codes, n = 2v - 1 with v from 0 to 1, and floats are components,
     unless lengths inside the `mask` (H, W) say otherwise. Two channels are x and y. A pixel has no
     normal where its vector is NaN, shorter than `MIN_NORMAL_LENGTH`, or too long, as that of black
-    codes is. Raises InputError if there are other channels, or no normals however they are read.
+    codes is, or its alpha is 0. Raises InputError if there are other channels, or no normals
+    however they are read.
     """
     stored = read_stored(path)
-    uncertainty, said = None, []
+    uncertainty, said, hidden = None, [], np.False_
     if isinstance(stored, dict):
         uncertainty = stored.get(UNCERTAINTY)
         expected = "normals in channels X, Y, Z or R, G, B"
@@ -115,12 +116,14 @@ def read_normals(path: Path, mask: NDArray[np.bool_] | None = None) -> StoredNor
             values = np.moveaxis(values, 0, -1)
         if values.ndim != 3 or values.shape[-1] not in (2, 3, 4):
             raise InputError(f"{path}: expected normals (H, W, 3), found shape {values.shape}")
+        if values.shape[-1] == 4 and values[..., 3].any():
+            hidden = values[..., 3] == 0
         values = values[..., :3]
     with np.errstate(all="ignore"):  # too long to have a length: no normal
         vectors, how = _decoded(path, values, mask)
         length = np.linalg.norm(vectors, axis=-1)
         long = ~(length <= 1 + LENGTH_TOLERANCE)
-        none = long | (length < MIN_NORMAL_LENGTH)
+        none = hidden | long | (length < MIN_NORMAL_LENGTH)
     if long.any():
         from scipy.ndimage import maximum_filter
 

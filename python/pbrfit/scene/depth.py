@@ -75,6 +75,7 @@ def checked_depth(
         )
     if angle > DISAGREEMENT_MIN:
         by = f"by {angle:.0f} degrees in the median"
+        by += "; an orthographic view has to be 2 units wide" * (fov == 0)
         said = f"its normals and the given ones contradict each other, {by}"
         log.warning("depth: %s", said)
         notes.append(said)
@@ -91,7 +92,10 @@ def without_holes(depth: NDArray[Any], *, inverse: bool = False) -> tuple[Depth,
         kept: Depth = depth.astype(np.float32)
         hit = (kept > 1 / DEPTH_MAX) & (kept < DEPTH_MAX)  # products of less are denormal: slow
     if not hit.any():
-        raise InputError(f"depth: expected distances above 0, found none below {DEPTH_MAX:g}")
+        found = f"none below {DEPTH_MAX:g}"
+        if (numbers := kept[np.isfinite(kept)]).size:
+            found += f" but {numbers.min():.3g} to {numbers.max():.3g}"
+        raise InputError(f"depth: expected distances above 0, found {found}")
     notes = []
     if holes := int(np.count_nonzero(~hit & ~np.isnan(kept))):
         notes.append(f"{holes} pixels of 0, negative or infinite depth left out")
@@ -124,18 +128,21 @@ def compared(depth: Depth, normals: NDArray[np.floating[Any]], fov: float) -> tu
     few, wanted = depth[some].astype(np.float64), normals[some]
     # A camera without perspective sees a width of 2 units (`geometry.positions`).
     width = 2.0 if fov == 0 else None
+
+    def angle_in_any_unit(values: NDArray[np.float64]) -> float:
+        if width is not None:  # only here its unit matters, and nobody told it
+            found, known = from_depth(values, fov=fov, view_width=width)
+            known &= np.isfinite(wanted[..., 0])
+            steepness = _slope(found[known])
+            if not steepness > 0:  # most of it faces the camera: no unit explains the normals
+                return math.nan
+            values = values * (_slope(wanted[known]) / steepness)
+        return median_angle(values, wanted, fov, width)
+
     as_depth = median_angle(few, wanted, fov, width)
-    if not as_depth > AGREEMENT_MAX:
+    if not as_depth > AGREEMENT_MAX or not angle_in_any_unit(few) > AGREEMENT_MAX:
         return as_depth, math.nan
-    inverse = 1.0 / few
-    if width is not None:  # only here its unit matters, and nobody told it
-        found, known = from_depth(inverse, fov=fov, view_width=width)
-        known &= np.isfinite(wanted[..., 0])
-        steepness = _slope(found[known])
-        if not steepness > 0:  # most of it faces the camera: no unit explains the normals
-            return as_depth, math.nan
-        inverse *= _slope(wanted[known]) / steepness
-    return as_depth, median_angle(inverse, wanted, fov, width)
+    return as_depth, angle_in_any_unit(1.0 / few)
 
 
 def median_angle(

@@ -90,6 +90,9 @@ _NO_PICTURES = {Path(part).stem for part in (*NORMAL_FILES, *DEPTH_FILES, *PARTS
 }
 """Stems, in lower case, of files that are no pictures: parts, true maps, what commands write."""
 
+_MAP = re.compile(r"(.*[\W_])?(mask|normal|depth)s?[\W_]*\d*\W*", re.IGNORECASE)
+"""Stems as renderers and other programs give them to maps: `Normal0001`, `IMG_7_mask`."""
+
 _LOOSE_SUFFIXES = {*images.PICTURE_SUFFIXES, *RAW_SUFFIXES} | {
     *(".avif", ".bmp", ".gif", ".heic", ".heif", ".webp")
 }
@@ -229,17 +232,27 @@ def _all_in(below: Path) -> list[Path]:
     if not paths:
         suffixes = " ".join(images.PICTURE_SUFFIXES)
         raise InputError(f"{below}: expected pictures ({suffixes}), found none")
+    if maps := set(paths) - set(_without_maps(paths)):
+        found = f"{listed(path.name for path in maps)}: a map belongs beside {below.name}/"
+        raise InputError(f"{below}: expected only pictures, found {found}")
     return paths
+
+
+def _without_maps(paths: list[Path]) -> list[Path]:
+    """Files that are not called maps, or all if they are: pictures may be of masks."""
+    return [path for path in paths if not _MAP.fullmatch(path.stem)] or paths
 
 
 def loose_pictures(folder: Path) -> list[Path]:
     """Files of a folder that look like photographs of a scene, in name order.
 
-    Parts of a scene are none, nor is anything in a result. Formats that are not read count.
+    Parts of a scene and maps are none, nor is anything in a result. Formats that are not read
+    count.
     """
     if any((folder / name).exists() for name in OUTPUTS):
         return []
-    return sorted(path for path in folder.iterdir() if _loose(path) and not path.is_dir())
+    found = sorted(path for path in folder.iterdir() if _loose(path) and not path.is_dir())
+    return _without_maps(found)
 
 
 def _loose(path: Path) -> bool:
@@ -323,14 +336,18 @@ def is_scene(folder: Path) -> bool:
     )
 
 
-def warn_of_near_misses(folder: Path) -> None:
-    """Say which files look like parts of a scene but are not read: `mask.tif`, `Normals.exr`."""
-    stems = _STEMS | {"normal", "segment", "weight", RELATIVE}
-    for path in sorted((*folder.iterdir(), *(folder / "images").glob(f"{RELATIVE}.*"))):
+def warn_of_near_misses(files: SceneFiles) -> None:
+    """Say what looks like a part of a scene but is not read: `mask.tif`, `lights.csv.txt`."""
+    stems = {stem.rstrip("s") for stem in (*_STEMS, RELATIVE)}
+    pictures = set(map(images.file_of, files.pictures))
+    beside = (files.folder / "images").glob(f"{RELATIVE}.*")
+    for path in sorted({*files.folder.iterdir(), *beside} - pictures):
+        name, *suffixes = path.name.lower().split(".")
         known = path.name in _EVERY_PART or path.suffix.lower() in (".lp", ".relight")
-        if not known and path.is_file() and path.stem.lower() in stems:
+        named = re.sub(r"[\W_]*\d*\W*$", "", name).rstrip("s") in stems or "lp" in suffixes[:-1]
+        if name and not known and ((named and path.is_file()) or _MAP.fullmatch(path.stem)):
+            of_lamps = name == RELATIVE
             expected = f"expected {', '.join(_EVERY_PART)}"
-            of_lamps = path.stem.lower() == RELATIVE
             log.warning("%s: not read; %s", path, STRENGTHS if of_lamps else expected)
 
 

@@ -92,7 +92,7 @@ class ReadOptions:
         """Read a picture; as `images.read_picture`, and raises InputError or OSError as that."""
         turned = self.orientation or "exif"
         how = (self.color_space, self.layer, self.code_range, turned, self.color_matrix)
-        return images.read_picture(path, *how, **placed)
+        return images.read_picture(path, *how, straight=self.alpha != "ignore", **placed)
 
     def window(self, size: tuple[int, ...]) -> tuple[slice, slice]:
         """Rows and columns that are used of pictures of a size (height, width).

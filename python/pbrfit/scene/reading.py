@@ -184,7 +184,7 @@ def load(
         notes.how = replace(notes.how, max_size=min(look, longest or look))
     folder, names = files.folder, files.names
     if files.parts:
-        warn_of_near_misses(folder)
+        warn_of_near_misses(files)
     read = _read_pictures(notes, None if notes.how.crop else look)
     mask = read.mask
     full_size, size = mask.shape, read.size
@@ -707,9 +707,11 @@ def _read_mask(notes: _Notes) -> NDArray[np.bool_]:
         notes.assumed["mask"] = f"{path.name}: its alpha, as it is not drawn in black and white"
     white = colors.max()
     mask: NDArray[np.bool_] = colors.mean(axis=-1) >= 0.5
-    if not mask.any() and white > 0 and np.isin(colors, (0, white)).all():
-        mask = colors.mean(axis=-1) >= white / 2
-        notes.assumed["mask"] = f"{path.name}: 0 and {white:.2g} of white alone, taken for it"
+    not_black = colors.max(axis=-1) > 0
+    if not mask.any() and white > 0 and not np.ptp(colors[not_black], axis=0).any():
+        mask = not_black
+        said = f"0 and {white:.2g} of white in one colour alone, taken for white"
+        notes.assumed["mask"] = f"{path.name}: {said}"
     if not mask.any():
         raise InputError(
             f"{path}: expected at least one white pixel, found none, and {white:.2g} of white at "

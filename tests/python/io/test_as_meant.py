@@ -131,6 +131,34 @@ def test_pages_of_a_stack_are_pictures(tmp_path: Path, written: Any, count: int,
     assert images.pages(tmp_path / "b.png") == [tmp_path / "b.png"]
 
 
+@pytest.mark.parametrize("unit", [255, 65535, 1])
+def test_colours_of_tiff_that_are_multiplied_by_alpha(tmp_path: Path, unit: int) -> None:
+    kind = {255: np.uint8, 65535: np.uint16, 1: np.float32}[unit]
+    alpha = np.tile(np.linspace(0, unit, 53).astype(kind), (41, 1))
+    stored = np.dstack([np.minimum((FLOAT * unit).astype(kind), alpha[..., None]), alpha])
+    path = tmp_path / "a.tif"
+    for extra in ("assocalpha", "unassalpha"):
+        tifffile.imwrite(path, stored, photometric="rgb", extrasamples=[extra])
+        part = (2.0 * alpha >= unit) & (extra == "assocalpha")
+        expected = stored[..., :3] / np.where(part, alpha, unit)[..., None]
+        found = images.read_picture(path, "linear").pixels
+        np.testing.assert_allclose(found, expected, rtol=1e-6, atol=0.51 / unit if unit > 1 else 0)
+        np.testing.assert_array_equal(images.read_data(path), stored / unit)
+        as_stored = images.read_picture(path, "linear", straight=False).pixels
+        np.testing.assert_allclose(as_stored, stored[..., :3] / unit, rtol=1e-6)
+
+
+@pytest.mark.parametrize("how", [{"imagej": True}, {"ome": True}])
+def test_pages_that_are_channels_are_refused(tmp_path: Path, how: Any) -> None:
+    path = tmp_path / "a.tif"
+    channels = {"axes": "CYX", "mode": "composite"}
+    tifffile.imwrite(path, np.moveaxis(RGB16, -1, 0), **how, metadata=channels)
+    with pytest.raises(InputError, match=r"a\.tif: expected pages that are pictures, found one"):
+        images.pages(path)
+    tifffile.imwrite(path, np.stack(STACK[:3]), **how)  # whose channels are not pages
+    assert len(images.pages(path)) == 3
+
+
 @pytest.mark.parametrize("options", [{}, {"subsampling": 0}])
 def test_ycbcr_of_jpeg(tmp_path: Path, options: dict[str, Any]) -> None:
     path = tmp_path / "a.tif"
@@ -263,6 +291,8 @@ def test_exr_primaries_and_luminance(
     gain = (cones @ rec709.sum(axis=1)) / (cones @ to_xyz.sum(axis=1))
     adapted = np.linalg.solve(cones, gain[:, None] * (cones @ to_xyz))
     expected = FLOAT @ np.linalg.solve(rec709, adapted).T
+    if alpha:  # by which colours are multiplied
+        expected /= np.where((FLOAT >= 0.5) & (FLOAT < 1), FLOAT, 1)[..., :1]
     np.testing.assert_allclose(picture.pixels, expected, rtol=1e-4, atol=2e-4)
     np.testing.assert_array_equal(picture.alpha, FLOAT[..., 0] if alpha else None)
     if chromaticities is None:

@@ -403,6 +403,12 @@ def test_float_tiff_is_linear(
     with caplog.at_level(logging.WARNING, logger="pbrfit"):
         np.testing.assert_array_equal(images.read_picture(path).pixels, pixels)
     assert "ICC profile is ignored because it is a float file" in caplog.text
+    caplog.clear()
+    tiff(pixels, iccprofile=icc_rgb(color.REC2020, icc_gamma(1)))(path)  # as darktable exports
+    expected = pixels.astype(np.float32) @ color.to_rec709(color.REC2020).T
+    np.testing.assert_allclose(images.read_picture(path).pixels, expected, atol=1e-3)
+    np.testing.assert_array_equal(images.read_picture(path, "linear").pixels, pixels)
+    assert not caplog.records
 
 
 def test_radiance_hdr_of_both_signatures_and_encodings(tmp_path: Path) -> None:
@@ -444,6 +450,8 @@ def test_lossy_exr_compressions_agree_with_openexr(tmp_path: Path, compression: 
 
 
 def test_exr_chromaticities_of_rec709_or_grey_change_nothing(tmp_path: Path) -> None:
+    path = save_exr(tmp_path / "z.exr", {"RGB": FLOAT}, chromaticities=(0.0,) * 8)
+    np.testing.assert_array_equal(images.read_picture(path).pixels, FLOAT)
     rec709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
     path = save_exr(tmp_path / "a.exr", {"RGB": FLOAT}, chromaticities=rec709)
     np.testing.assert_array_equal(images.read_picture(path).pixels, FLOAT)
@@ -457,6 +465,7 @@ def rgb(layer: str, letters: str = "RGB", factor: float = 1) -> dict[str, NDArra
 
 
 OTHERS = rgb("View.Normal.", "XYZ") | rgb("View.DiffCol.") | {"View.Depth.Z": FLOAT[..., 0]}
+NUKE = "red", "green", "blue"
 LAYERS: dict[str, tuple[dict[str, NDArray[Any]], str | None, str]] = {
     # what is stored, which layer is asked for, which is read or what is refused
     "plain": (rgb("") | rgb("rgba.", factor=2) | OTHERS, None, ""),
@@ -464,6 +473,9 @@ LAYERS: dict[str, tuple[dict[str, NDArray[Any]], str | None, str]] = {
     "rgba": (rgb("rgba.") | rgb("diffuse.", factor=2) | OTHERS, None, "rgba"),
     "beauty": (rgb("Beauty.") | rgb("diffuse.", factor=2), None, "Beauty"),
     "blender": (rgb("V.Combined.") | rgb("V.Emit.", factor=2) | OTHERS, None, "V.Combined"),
+    "of Nuke": ({f"a.{c}": FLOAT[..., "rgb".index(c[0])] for c in NUKE} | OTHERS, None, "a"),
+    "of Houdini": (rgb("C.") | rgb("albedo.", factor=2) | rgb("diffuse.", factor=2), None, "C"),
+    "beside short normals": (rgb("diffuse.") | rgb("N.", factor=2), None, "diffuse"),
     "the only one": (rgb("diffuse.") | OTHERS | rgb("diffuse.limits.", factor=0), None, "diffuse"),
     "by name": (rgb("") | rgb("a.", factor=2) | rgb("b."), "b", "b"),
     "by its end": (rgb("View.Combined.", factor=2) | rgb("View.Emit."), "emit", "View.Emit"),
@@ -473,6 +485,7 @@ LAYERS: dict[str, tuple[dict[str, NDArray[Any]], str | None, str]] = {
     "two views": (rgb("a.rgba.") | rgb("b.rgba."), None, r"one layer of .*, found a\.rgba\.R a"),
     "two ends": (rgb("a.x.") | rgb("b.x."), "x", r"one layer of channels R, G, B or Y in layer x"),
     "data": (OTHERS, None, r"channels .* in layers View\.Depth, View\.DiffCol, View\.Normal"),
+    "a path": (OTHERS, "C:\renders\new", r"channels R, G, B or Y in layer C:\\renders\\new, found"),
     "unknown": (rgb("") | OTHERS, "albedo", "channels R, G, B or Y in layer albedo, found B, G"),
 }  # fmt: skip
 

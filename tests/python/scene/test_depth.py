@@ -15,6 +15,7 @@ from command_runs import done
 from pbrfit import InputError, Scene
 from pbrfit.io import images
 from pbrfit.model import geometry
+from pbrfit.model.depth_normals import from_depth
 from pbrfit.report import inspection
 from pbrfit.scene import folder as scene_folder
 from pbrfit.scene.depth import reduced
@@ -66,6 +67,7 @@ def test_what_is_no_distance_becomes_unknown_and_is_told() -> None:
     [
         (np.ones((SIZE, SIZE + 1)), r"depth: expected shape \(48, 48\), found \(48, 49\)"),
         (np.zeros((SIZE, SIZE)), "depth: expected distances above 0, found none"),
+        (np.full((SIZE, SIZE), -2.5), "above 0, found none below 1e[+]09 but -2.5 to -2.5"),
         (np.full((SIZE, SIZE), np.nan), "depth: expected distances above 0, found none"),
         (np.full((SIZE, SIZE), 1j), "depth: expected real numbers, found complex128"),
     ],
@@ -81,6 +83,16 @@ def test_inverse_depth_of_a_room_is_refused(factor: float) -> None:
     scene(factor * depth, normals)
     with pytest.raises(InputError, match=r"depth: .* found inverse depth .normals"):
         scene(factor / depth, normals)
+
+
+@pytest.mark.parametrize("unit", [1, 10, 1000])
+def test_depth_of_an_orthographic_camera_in_another_unit_is_not_inverse(unit: float) -> None:
+    depth = 3 + np.add.outer(np.arange(40) * 0.01, np.sin(np.arange(40) / 8) * 0.1)
+    normals, _ = from_depth(depth, fov=0, view_width=2.0)
+    said = scene(unit * depth, normals, fov=0).assumed.get("depth", "")
+    assert ("an orthographic view has to be 2 units wide" in said) == (unit > 1)
+    with pytest.raises(InputError, match="found inverse depth"):
+        scene(unit / depth, normals, fov=0)
 
 
 def test_inverse_depth_is_told_from_depth_despite_wrong_normals_and_noise() -> None:

@@ -50,7 +50,9 @@ def test_photographs_beside_each_other_are_a_scene(tmp_path: Path) -> None:
     assert "dark frame" in scene.assumed
     assert scene_folder.digests(folder) == scene.inputs
     assert "\nassumed layout    pictures: those" in done("inspect", folder)
-    (folder / "Mask.png").unlink()
+    (folder / "Mask.png").replace(folder / "Mask_0001.png")  # as renderers number them
+    assert Scene.load(folder).names == tuple(NAMES)
+    (folder / "Mask_0001.png").unlink()
     for command in (("lights",), ("normals", "--from", "pictures")):
         assert "an EXR file with layer x" in refused(*command, folder, "--layer", "x")
     (folder / "005.heic").write_bytes(b"\0\0\0\x18ftypheic" + bytes(20))

@@ -76,12 +76,17 @@ AS_MEANT: dict[str, tuple[Any, str, bool]] = {
         "channels Normal.R",
         False,
     ),
+    "flat_names.exr": (layer(NORMALS, "Nx", "Ny", "Nz") | BEAUTY, "channels Nx, Ny, Nz", False),
+    "nuke.exr": (layer(NORMALS, "N.red", "N.green", "N.blue") | BEAUTY, "N.red", False),
+    "underscores.exr": (layer(NORMALS, *(f"normal_{c}" for c in "xyz")), "normal_x", False),
     "any_layer.exr": (layer(NORMALS, "aov.X", "aov.Y", "aov.Z") | BEAUTY, "aov.X", False),
     "and_position.exr": (layer(NORMALS, *"RGB") | POSITION, "", False),
     "two.exr": (layer(NORMALS, *"XY"), "z = √", False),
     "png_in_fact.exr": (BYTES, "", False),
     "black.png": (before(0, BYTES), "", True),
     "white.png": (before(255, BYTES), "", True),
+    "transparent.png": (np.dstack([BYTES, np.uint8(255) * BALL]), "", True),
+    "transparent_everywhere.png": (np.dstack([BYTES, np.uint8(0) * BALL]), "", False),
     "grey.png": (before(127, BYTES), "", True),
     "diligent.png": (before(0, np.clip(128 * (NORMALS + 1), 0, 255).astype(np.uint8)), "", True),
     "bytes_in_16_bits.png": (BYTES.astype(np.uint16), "codes up to 255", False),
@@ -170,6 +175,8 @@ WHITE = np.full((SIZE, SIZE, 3), 255, np.uint8)
         (np.dstack([0 * WHITE, 255 * HALF.astype(np.uint8)]), "its alpha"),
         (np.dstack([WHITE // [9, 2, 1], 255 * HALF]).astype(np.uint8), "its alpha"),
         (np.dstack([255 * HALF] * 3 + [255 - 9 * HALF]).astype(np.uint8), None),
+        (np.dstack([c * HALF for c in (255, 0, 0)]).astype(np.uint8), "1 of white in one colour"),
+        (np.dstack([c * HALF for c in (128, 0, 64)]).astype(np.uint8), "0.5 of white in one"),
     ],
 )
 def test_masks(folder: Path, mask: NDArray[Any], said: str | None) -> None:
@@ -183,6 +190,12 @@ def test_masks(folder: Path, mask: NDArray[Any], said: str | None) -> None:
 def test_a_mask_of_greys_below_white_is_refused(folder: Path, top: int) -> None:
     store(folder / "mask.png", np.linspace(0, top, SIZE * SIZE, dtype=np.uint8).reshape(SIZE, -1))
     said = f"mask.png: expected at least one white pixel, found none, and {top / 255:.2g} of white"
+    assert said in refused("inspect", folder)
+
+
+def test_a_mask_of_two_colours_is_refused(folder: Path) -> None:
+    store(folder / "mask.png", np.dstack([255 * HALF, 255 * ~HALF, 0 * HALF]).astype(np.uint8))
+    said = "mask.png: expected at least one white pixel, found none, and 1 of white at most"
     assert said in refused("inspect", folder)
 
 
@@ -249,6 +262,10 @@ def test_depth_keeps_the_unit_of_its_file(folder: Path, tmp_path: Path) -> None:
     (("rgba.R", "rgba.Z", "P.Z", "V.Mist.Z"), "rgba.Z"),
     (("R", "B", "left.depth"), "left.depth"),
     (("VRayZDepth.R", "R", "N.Z"), "VRayZDepth.R"),
+    (("depth_Z", "R", "N_Z"), "depth_Z"),
+    (("V.Denoising Depth.Z", "V.Depth.Z", "R"), "V.Depth.Z"),
+    (("R", "G", "B", "dd.T"), "depth in one channel, found colours or vectors"),
+    (("nn.X", "nn.Y", "nn.Z"), "depth in one channel, found colours or vectors"),
     (("a.Depth.Z", "b.Depth.Z", "Y"), "one layer of depth .*, found a.Depth.Z, b.Depth.Z"),
     (("A", "N.Z"), "depth in a channel Z, depth.Z, Y or R, found A, N.Z in layers N"),
 ])  # fmt: skip

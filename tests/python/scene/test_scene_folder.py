@@ -272,6 +272,8 @@ def test_alpha_and_mask_leave_pixels_out(folder: Path) -> None:
     scene = Scene.load(folder)
     np.testing.assert_array_equal(scene.valid, expected)
     assert scene.assumed["alpha"] == f"{SIZE} transparent pixels left out"
+    np.testing.assert_allclose(scene.images[0, 1:3], image[1:3] / alpha[1:3, :, None], rtol=1e-6)
+    np.testing.assert_allclose(Scene.load(folder, alpha="ignore").images[0], image, rtol=1e-6)
 
     expected[:, 3:] = False
     white = np.zeros((SIZE, SIZE), bool)
@@ -530,6 +532,14 @@ def test_near_misses_are_named(folder: Path, caplog: pytest.LogCaptureFixture) -
     mask, strengths = caplog.records
     assert f"{folder / 'Mask.tif'}: not read; expected" in mask.message
     assert "light_intensities.txt: not read; strengths of lamps are fitted" in strengths.message
+    caplog.clear()
+    others = {"scene.toml.txt", "Normal0001.exr", "dome.lp.txt", "lights (1).csv", "a_mask.png"}
+    for name in (*others, "notes.txt", "._mask.tif"):
+        (folder / name).write_bytes(b"")
+    (folder / "masks").mkdir()
+    Scene.load(folder)
+    warned = {Path(record.message.partition(": not read")[0]).name for record in caplog.records}
+    assert warned - {"Mask.tif", "light_intensities.txt"} == {*others, "masks"}
 
 
 def test_max_size_averages_pictures_normals_and_takes_whole_pixels_only(folder: Path) -> None:
@@ -654,6 +664,10 @@ BAD_FOLDERS: dict[str, tuple[Any, str]] = {
             for kind in ("NEF", "nef.xmp")
         ],
         "found light_01.NEF, light_01.exr, light_02.NEF, light_02.exr: take others away",
+    ),
+    "maps among pictures": (
+        lambda f: [(f / "images" / name).write_bytes(b"") for name in ("Depth0001.png", "a_mask")],
+        "images: expected only pictures, found Depth0001.png, a_mask: a map belongs beside images/",
     ),
     "sizes that differ": (
         lambda f: write_exr(f / "images" / "light_02.exr", room().images[0][:, 1:]),
