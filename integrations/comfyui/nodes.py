@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from pbrfit import DirectionalLight, Environment, InputError, Result, Scene, decompose, relight
 from pbrfit.acquire.depth import with_offset
+from pbrfit.checks import any_array
 from pbrfit.display.tone import encoded
 from pbrfit.export.displacement import Displacement
-from pbrfit.io.checks import any_array
 from pbrfit.io.color import decode_srgb, encode_srgb
 from pbrfit.io.images import read_channels
 from pbrfit.io.normal_files import Convention

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.io.checks import one_of
+from pbrfit.checks import one_of
 from pbrfit.io.output import new_folder
 from pbrfit_evaluation.arrays import Array
 from pbrfit_evaluation.cycles.export import Stage

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.io.checks import one_of
+from pbrfit.checks import one_of
 from pbrfit.model.geometry import view_directions
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials

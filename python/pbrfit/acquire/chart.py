@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.io.arrays import Array
+from pbrfit.array_types import Array
 from pbrfit.io.color import ICC_D50, colorants_to_rec709, encode_srgb
 from pbrfit.io.images import Picture
 from pbrfit.io.quoting import listed

@@ -14,7 +14,7 @@ from pbrfit._core import InputError
 from pbrfit.acquire import marigold, weights
 from pbrfit.acquire.normals import check_reducible
 from pbrfit.acquire.padding import resized
-from pbrfit.io.arrays import Array, Codes, Floats
+from pbrfit.array_types import Array, Codes, Floats
 from pbrfit.io.depth_files import read_depth
 from pbrfit.model import geometry
 from pbrfit.model.depth_normals import DepthKind

@@ -19,8 +19,8 @@ from pbrfit._core import InputError
 from pbrfit.acquire.generators import Generated, Refused, Request
 from pbrfit.acquire.padding import read_srgb8
 from pbrfit.acquire.photo import Photo
+from pbrfit.array_types import Codes
 from pbrfit.io import images
-from pbrfit.io.arrays import Codes
 from pbrfit.io.input_files import PICTURE_BYTES, read_bytes
 from pbrfit.io.json_files import UNFIT, read_as, read_json, table, whole, words, write_json
 from pbrfit.io.output import new_file

@@ -26,7 +26,7 @@ from PIL import Image
 from pbrfit._core import InputError
 from pbrfit.acquire import weights
 from pbrfit.acquire.padding import resized, resized_srgb8
-from pbrfit.io.arrays import Array, Codes
+from pbrfit.array_types import Array, Codes
 from pbrfit.io.color import decode_srgb
 from pbrfit.model.depth_normals import FACING
 from pbrfit.model.materials import Materials

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.acquire import marigold
-from pbrfit.io.arrays import Array, Codes, Mask
+from pbrfit.array_types import Array, Codes, Mask
 from pbrfit.io.depth_files import read_depth
 from pbrfit.io.normal_files import MIN_NORMAL_LENGTH, Convention, read_normals
 from pbrfit.io.resampling import averaged, averaged_channels, reduced_size

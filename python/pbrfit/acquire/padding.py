@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from pbrfit._core import InputError
-from pbrfit.io.arrays import Codes, Floats
+from pbrfit.array_types import Codes, Floats
 from pbrfit.io.color import decode_srgb, encode_srgb
 from pbrfit.io.exif import without_warnings
 from pbrfit.io.quoting import shown

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.array_types import Array, Codes, Mask
 from pbrfit.display.tone import codes, encoded
 from pbrfit.io import images
-from pbrfit.io.arrays import Array, Codes, Mask
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.quoting import listed
 from pbrfit.io.resampling import averaged_channels, averaged_where, reduced_size

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from pbrfit.acquire import weights
 from pbrfit.acquire.normals import check_reducible
+from pbrfit.array_types import Codes, Mask
+from pbrfit.checks import finite
 from pbrfit.io import images
-from pbrfit.io.arrays import Codes, Mask
-from pbrfit.io.checks import finite
 from pbrfit.io.resampling import at_centres
 from pbrfit.scene.folder import MAX_ID
 

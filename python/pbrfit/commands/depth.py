@@ -9,11 +9,11 @@ import numpy as np
 
 from pbrfit.acquire.depth import MODEL, estimate
 from pbrfit.acquire.marigold import DEPTH_MODEL, ENSEMBLE
+from pbrfit.array_types import Codes
 from pbrfit.commands import arguments as cli
 from pbrfit.commands import network_options as network
 from pbrfit.commands.scene_options import DEPTH_KIND, field_of_view
 from pbrfit.io import images
-from pbrfit.io.arrays import Codes
 from pbrfit.io.depth_files import DEPTH_FILES, METRES
 from pbrfit.scene import completion
 from pbrfit.scene.depth import in_words

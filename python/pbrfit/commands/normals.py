@@ -13,12 +13,12 @@ import numpy as np
 from pbrfit._core import InputError
 from pbrfit.acquire.marigold import ENSEMBLE, NORMALS_MODEL
 from pbrfit.acquire.normals import HALF_WEIGHT, Normals, estimate, kind_of
+from pbrfit.array_types import Codes
 from pbrfit.commands import arguments as cli
 from pbrfit.commands import network_options as network
 from pbrfit.commands.progress import fit_steps
 from pbrfit.commands.scene_options import DEPTH_KIND, STORED, field_of_view
 from pbrfit.fit.lamps.estimator import normals_from_pictures
-from pbrfit.io.arrays import Codes
 from pbrfit.model.materials import nearest_inside
 from pbrfit.scene import completion, known_lamps, reading
 from pbrfit.scene import folder as scene_folder

@@ -12,8 +12,8 @@ from html import escape
 import numpy as np
 from PIL import Image
 
+from pbrfit.array_types import Floats, Mask
 from pbrfit.display.tone import codes, encoded
-from pbrfit.io.arrays import Floats, Mask
 from pbrfit.io.images import encode_png
 
 SIDE = 128

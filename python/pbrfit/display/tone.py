@@ -6,8 +6,8 @@ from typing import Literal
 
 import numpy as np
 
-from pbrfit.io.arrays import Array, Codes, Floats
-from pbrfit.io.checks import finite, one_of
+from pbrfit.array_types import Array, Codes, Floats
+from pbrfit.checks import finite, one_of
 from pbrfit.io.color import encode_srgb, over_channels
 
 ToneMap = Literal["none", "neutral"]

@@ -20,8 +20,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.array_types import Array
 from pbrfit.export.maps import Bits, codes
-from pbrfit.io.arrays import Array
 from pbrfit.model.materials import nearest_inside
 from pbrfit.result.result import Result
 from pbrfit.scene.integration import depth_from_normals

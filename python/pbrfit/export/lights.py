@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
+from pbrfit.array_types import Array
 from pbrfit.export.nonnegative import nonnegative_radiance, surface_response
 from pbrfit.io import images
-from pbrfit.io.arrays import Array
 from pbrfit.io.quoting import cell
 from pbrfit.model import panorama
 from pbrfit.model.lighting import Lighting

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.io.arrays import Array, Mask
+from pbrfit.array_types import Array, Mask
 from pbrfit.io.color import encode_srgb
 from pbrfit.model.materials import nearest_inside
 from pbrfit.result.result import Result

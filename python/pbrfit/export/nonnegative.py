@@ -23,8 +23,8 @@ import math
 
 import numpy as np
 
+from pbrfit.array_types import Array
 from pbrfit.fit.sampling import evenly_spaced
-from pbrfit.io.arrays import Array
 from pbrfit.model import panorama
 from pbrfit.model.geometry import view_directions
 from pbrfit.model.reflection import sh_basis, shade

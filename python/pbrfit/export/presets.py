@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from pbrfit._core import InputError
+from pbrfit.checks import one_of
 from pbrfit.export.maps import (
     BASE_COLOR,
     BASE_COLOR_DEVIATION,
@@ -16,7 +17,6 @@ from pbrfit.export.maps import (
     Texture,
 )
 from pbrfit.export.view_mesh import Geometry
-from pbrfit.io.checks import one_of
 
 Format = Literal["gltf", "exr", "png", "mtlx", "lp", "ptm", "rti", "openlime"]
 PresetName = Literal["blender", "unreal", "unity"]

@@ -24,7 +24,7 @@ from pathlib import PurePosixPath
 import numpy as np
 
 from pbrfit._core import InputError
-from pbrfit.io.arrays import Array, Codes, Mask
+from pbrfit.array_types import Array, Codes, Mask
 from pbrfit.io.color import encode_srgb
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import sh_basis

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit.array_types import Array, Floats
 from pbrfit.fit.discrepancy import Discrepancy
 from pbrfit.fit.independent_lights import Shown
 from pbrfit.fit.parameters import ParameterLayout
@@ -24,8 +23,6 @@ from pbrfit.scene.arrays import CHANNELS
 from pbrfit.scene.scene import Scene
 from pbrfit.transport.decision import Transport
 
-Array = NDArray[np.float64]
-
 FEW_PICTURES = 6
 """Pictures below which few are named: 3 samples each for 5 unknowns of a pixel, beside lights."""
 
@@ -34,13 +31,13 @@ def with_causes(
     verdicts: Mapping[str, Verdict],
     scene: Scene,
     *,
-    normals: NDArray[np.floating[Any]],
+    normals: Floats,
     discrepancy: Discrepancy | None,
     shown: Shown | None,
     transport: Transport,
     lighting: Array | None,
     albedo_scale: tuple[float, float, float],
-    albedo: NDArray[np.floating[Any]],
+    albedo: Floats,
 ) -> dict[str, Verdict]:
     """Verdicts with cause and remedy, where maps are not usable.
 
@@ -77,7 +74,7 @@ def with_causes(
 
 def _causes(
     scene: Scene,
-    normals: NDArray[np.floating[Any]],
+    normals: Floats,
     discrepancy: Discrepancy | None,
     transport: Transport,
     lighting: Array | None,

@@ -13,8 +13,8 @@ from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit.array_types import Array
 from pbrfit.fit import misfit, settings
 from pbrfit.fit.joint import JointFit, SharedFit, minimize
 from pbrfit.fit.levels import Level
@@ -30,8 +30,6 @@ from pbrfit.fit.priors.population import METAL_SHARE
 from pbrfit.fit.priors.posterior import PURE_NODES
 from pbrfit.fit.run import Run
 from pbrfit.model.materials import Materials
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,9 +24,9 @@ from operator import attrgetter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.array_types import Array
 from pbrfit.fit import settings
 from pbrfit.fit.coarse import Lights
 from pbrfit.fit.estimator import fit_materials, lights_and_noise
@@ -55,7 +55,6 @@ log = logging.getLogger("pbrfit")
 
 SCORE = attrgetter("score")
 
-Array = NDArray[np.float64]
 
 NOT_COMPARED = "explanations were not compared"
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from pbrfit import address_space
 from pbrfit._core import InputError
+from pbrfit.array_types import Array
 from pbrfit.fit import memory
 from pbrfit.fit.causes import left_out_words, with_causes
 from pbrfit.fit.run import FitSetup, Progress, Trace, material_errors, notebook_bar
@@ -328,9 +329,7 @@ def _signature() -> inspect.Signature:
     return own.replace(parameters=[*named, *options])
 
 
-def _to_start_from(
-    start: Start, model: Model
-) -> tuple[Materials, NDArray[np.float64] | None] | None:
+def _to_start_from(start: Start, model: Model) -> tuple[Materials, Array | None] | None:
     """Maps and perhaps lights; those of a result, if it is of the same model."""
     if isinstance(start, Materials):
         return start, None

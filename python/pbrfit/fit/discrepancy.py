@@ -31,6 +31,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.array_types import Array
 from pbrfit.fit import misfit, settings
 from pbrfit.fit.independent_lights import Shown
 from pbrfit.fit.normal_equations import inverted, known_materials
@@ -40,8 +41,6 @@ from pbrfit.fit.pixels import Pixels, fit_level
 from pbrfit.fit.priors.population import METALLIC_DEVIATION, ROUGHNESS_DEVIATION
 from pbrfit.fit.priors.posterior import Pooling
 from pbrfit.fit.sampling import evenly_spaced, pairs_apart, pixel_index
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

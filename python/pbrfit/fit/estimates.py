@@ -32,6 +32,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.array_types import Array
 from pbrfit.fit.objective import Objective
 from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.model.estimates import reduced
@@ -43,7 +44,6 @@ from pbrfit.scene.scene import Scene
 
 log = logging.getLogger("pbrfit")
 
-Array = NDArray[np.float64]
 
 FINISH_SIGMA = 0.2
 """σ. Networks that are trained on interiors publish errors of roughness of about .2."""

@@ -20,8 +20,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit.array_types import Array, Mask
 from pbrfit.fit import lbfgsb, misfit, settings
 from pbrfit.fit.coarse import Lights, Watch, judged, left_of, rounds
 from pbrfit.fit.joint import JointFit, minimize
@@ -35,8 +35,6 @@ from pbrfit.fit.priors.mixture import fit_prior, with_lights
 from pbrfit.fit.priors.penalties import Monochrome, chosen_priors, penalties
 from pbrfit.fit.run import Run, State
 from pbrfit.result.data import Status
-
-Array = NDArray[np.float64]
 
 
 def solve(run: Run, x: Array, *, start_given: bool) -> State:
@@ -221,7 +219,7 @@ def fit_all_pixels(state: State, lights: Lights, prior: GaussianPrior | None) ->
             of_all = move_lights(run, x, lights, prior)
             if of_all and not run.goes_on:
                 return replace(state, x=x)
-        wide: bool | NDArray[np.bool_] = True
+        wide: bool | Mask = True
         if prior is not None and posterior is not None:
             wide = np.any(posterior.variance > NODE_SPACING**2, axis=1)
         sum_sq = fit_all(objective, x, starts=wide, prior=prior, stop=run.out_of_time)

@@ -6,12 +6,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit.array_types import Array
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.penalties import Penalty
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,14 +9,11 @@ more, most of it: of an error of n numbers a fit of m unknowns leaves (n − m)/
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit.array_types import Array, Floats
 from pbrfit.fit.settings import EXACT_RMSE
-
-Array = NDArray[np.float64]
 
 NUMBERS_MIN = 1.5
 """Numbers of a pixel for each of its unknowns, below which the fit takes up more than two thirds of
@@ -53,7 +50,7 @@ class Shown:
         cls,
         pictures: Array,
         variance: float,
-        weights: NDArray[np.floating[Any]] | None,
+        weights: Floats | None,
         unknowns: float,
         of_light: float = 0.0,
     ) -> Shown:

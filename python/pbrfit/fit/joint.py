@@ -25,9 +25,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit import _core
+from pbrfit.array_types import Array
 from pbrfit.fit import settings
 from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.misfit import variance
@@ -38,7 +38,6 @@ from pbrfit.fit.preconditioner import Solve, conjugate_gradients, preconditioner
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.sampling import evenly_spaced_over
 
-Array = NDArray[np.float64]
 Stop = Callable[[], bool]
 Visit = Callable[[Array, Array], bool]
 

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from pbrfit.array_types import Array
 from pbrfit.fit import settings
 from pbrfit.fit.run import Run
-
-Array = NDArray[np.float64]
 
 
 def staged(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array, str]:

@@ -22,6 +22,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.array_types import Array, Mask
 from pbrfit.fit import settings
 from pbrfit.fit.lamps.estimator import Found
 from pbrfit.fit.sampling import pairs_apart, pixel_index
@@ -30,7 +31,6 @@ from pbrfit.lazy import lazy
 from pbrfit.result.options import Loss
 from pbrfit.transport.decision import Kind
 
-Array = NDArray[np.float64]
 LightKind = Literal["sh", "lamps"]
 
 
@@ -82,7 +82,7 @@ class LeftOut:
     """(M, P, 3) each: of the files' values, and these; NaN where nothing is told."""
     rounding: Array
     """(M,): variance of what files did to the values, as far as it is known; else 0."""
-    valid: NDArray[np.bool_]
+    valid: Mask
     """(H, W): where the P pixels are."""
     found: Found | None = None
     """Of a fit under far lamps: with those of all pictures."""
@@ -156,12 +156,12 @@ class LeftOut:
         return max(_share(one * other / square[:, None]), _share(between))
 
     @property
-    def is_hot(self) -> NDArray[np.bool_]:
+    def is_hot(self) -> Mask:
         """(M, P): far beyond what normal errors of that median can be."""
         most = (settings.OUTLIER_WIDTHS[0] / 0.6745) ** 2
         return np.asarray(self.squares > most * np.nanmedian(self.squares, axis=1, keepdims=True))
 
-    def without(self, hot: NDArray[np.bool_]) -> LeftOut:
+    def without(self, hot: Mask) -> LeftOut:
         """As if some pixels (M, P) told nothing."""
         errors, values = (np.where(hot[..., None], np.nan, of) for of in (self.errors, self.values))
         return replace(self, errors=errors, values=values)
@@ -181,7 +181,7 @@ class LeftOut:
         return self.score - best.score > errors * error
 
 
-def patches_of(valid: NDArray[np.bool_]) -> NDArray[np.intp]:
+def patches_of(valid: Mask) -> NDArray[np.intp]:
     """(P,): number of the patch that each valid pixel is in."""
     rows, columns = np.nonzero(valid)
     side = max(valid.shape) / settings.COMPARE_PATCHES

@@ -24,12 +24,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit.array_types import Array
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.settings import MEAN_RADIANCE
-
-Array = NDArray[np.float64]
 
 BAND_SIGMA = 0.45
 """Standard deviation of a coefficient over the constant one. Eight panoramas, rotated at random,

@@ -27,12 +27,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit.array_types import Array
 from pbrfit.fit import settings
 from pbrfit.fit.objective import Objective
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

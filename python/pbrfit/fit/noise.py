@@ -40,6 +40,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.array_types import Array, Codes, Mask
 from pbrfit.fit import settings
 from pbrfit.fit.normal_equations import by_unknowns, products
 from pbrfit.fit.objective import Objective
@@ -48,8 +49,6 @@ from pbrfit.fit.sampling import slices
 from pbrfit.fit.tails import StudentT, Tails, likeliest
 from pbrfit.io.limits import AT_LEAST, AT_MOST
 from pbrfit.threads import in_pieces
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,9 +155,9 @@ class _Samples:
     """The model's; the pictures' where nothing has been fitted."""
     of_file: Array | None
     """Variances that the encoding left."""
-    used: NDArray[np.bool_]
+    used: Mask
     """Which have weight, limits or not."""
-    limits: NDArray[np.uint8] | None
+    limits: Codes | None
 
     @classmethod
     def of(cls, objective: Objective, pixels: Pixels, residuals: Array) -> _Samples:
@@ -173,12 +172,12 @@ class _Samples:
         )
 
     @property
-    def ordinary(self) -> NDArray[np.bool_]:
+    def ordinary(self) -> Mask:
         """Which tell the radiance."""
         return self.used if self.limits is None else self.used & (self.limits == 0)
 
 
-def satisfied(limits: NDArray[np.uint8], excess: Array) -> NDArray[np.bool_]:
+def satisfied(limits: Codes, excess: Array) -> Mask:
     """Which samples are at a limit that a model, by its excess over them, is not inside of."""
     above = (limits == AT_LEAST) & (excess >= 0)
     return np.asarray(above | ((limits == AT_MOST) & (excess <= 0)))

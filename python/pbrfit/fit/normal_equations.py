@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit.array_types import Array, Mask
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
-
-Array = NDArray[np.float64]
 
 RIDGE = 1e-12
 """Added to matrices of unit diagonal before they are inverted; far below what data can tell."""
@@ -29,7 +27,7 @@ def inverted(matrices: Array, precision: Array) -> Array:
     return np.asarray(np.linalg.inv(whole) * products, np.float64)
 
 
-def whitening(matrices: Array, held: NDArray[np.bool_]) -> Array:
+def whitening(matrices: Array, held: Mask) -> Array:
     """U with U A Uᵀ = 1 for A (P, D, D); 0 for what is held.
 
     A is scaled to S A S of unit diagonal: an unknown in which radiance is flat would spoil the

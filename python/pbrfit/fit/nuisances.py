@@ -26,8 +26,8 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit.array_types import Array
 from pbrfit.fit import settings
 from pbrfit.fit.joint import JointFit
 from pbrfit.fit.misfit import Misfit
@@ -37,8 +37,6 @@ from pbrfit.result.camera import Camera
 from pbrfit.scene.arrays import FIRST_FOV
 from pbrfit.scene.correction import Correction
 from pbrfit.scene.scene import Scene
-
-Array = NDArray[np.float64]
 
 
 def log_tangent(fov: float) -> float:

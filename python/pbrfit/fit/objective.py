@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
 from pbrfit._core import InputError
+from pbrfit.array_types import Array, Codes, Floats, Mask
+from pbrfit.checks import real_array
 from pbrfit.fit import settings
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.penalties import penalties
-from pbrfit.io.checks import real_array
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model, chosen_model, whole_number
 from pbrfit.result.options import Priors, unit_interval
@@ -24,8 +25,6 @@ from pbrfit.scene.correction import Correction
 from pbrfit.scene.exposure import relative_exposures
 from pbrfit.scene.scene import Scene
 from pbrfit.transport.scenery import PixelTransfer
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -347,7 +346,7 @@ class Objective:
         """Whether some samples of the scene are limits."""
         return self._scene.limits is not None
 
-    def limits(self, pixels: NDArray[np.uint64]) -> NDArray[np.uint8] | None:
+    def limits(self, pixels: NDArray[np.uint64]) -> Codes | None:
         """(N, Q, C): which samples of some pixels are limits, as in `Scene`; None where none is."""
         limits = self._scene.limits
         if limits is None:
@@ -633,7 +632,7 @@ class Objective:
             bounced=None if self.transfer is None else self.transfer.scaled(self._units),
         )
 
-    def _rows(self, vectors: NDArray[np.floating[Any]]) -> Array:
+    def _rows(self, vectors: Floats) -> Array:
         """Rows (P, 3) of (H, W, 3), no copy if all are valid: memory peaks here."""
         if self._places is not None:
             rows = vectors[np.divmod(self._places, self._scene.width)]
@@ -690,7 +689,7 @@ def in_channels(values: Array, channels: int) -> Array:
     return values if channels == 3 else values.mean(axis=-1, keepdims=True)
 
 
-def valid_values(name: str, values: NDArray[Any], valid: NDArray[np.bool_]) -> Array:
+def valid_values(name: str, values: NDArray[Any], valid: Mask) -> Array:
     """(P, ...) of the valid pixels of a map (H, W, ...) that is "albedo", or has one channel."""
     shape = valid.shape + ((3,) if name == "albedo" else ())
     values = real_array(name, values, shape)[valid]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.array_types import Array, Floats, Mask
 from pbrfit.fit.sampling import placed
 from pbrfit.lazy import lazy
 from pbrfit.scene.scene import Scene
@@ -22,7 +22,7 @@ class ParameterLayout:
     (two planes) | lighting (N, K, light_channels)], without what is known.
     """
 
-    valid: NDArray[np.bool_]
+    valid: Mask
     """(H, W) bool: the pixels that are fitted; their row order is the order in x."""
     segments: NDArray[np.intp] | None
     """(P,) labels of the valid pixels: 0 = unclassified, 1 … `segment_count` in the order of the
@@ -81,7 +81,7 @@ class ParameterLayout:
         """P, the number of valid pixels."""
         return int(np.count_nonzero(self.valid))
 
-    def whole(self, values: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+    def whole(self, values: Floats) -> Array:
         """(H, W, ...) of values (P, ...) of the valid pixels; NaN elsewhere."""
         return placed(values, self.valid)
 

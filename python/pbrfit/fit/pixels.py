@@ -8,12 +8,12 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.array_types import Array, Mask
 from pbrfit.fit import settings
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.sampling import beside, slices
 
-Array = NDArray[np.float64]
 Pixels = NDArray[np.uint64]
 
 NODES = (
@@ -87,7 +87,7 @@ def fit_all(
     objective: Objective,
     x: Array,
     *,
-    starts: int | NDArray[np.bool_],
+    starts: int | Mask,
     steps: int = settings.DESCENT_STEPS,
     prior: GaussianPrior | None = None,
     held_normals: bool = False,

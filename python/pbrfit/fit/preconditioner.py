@@ -18,14 +18,13 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit.array_types import Array
 from pbrfit.fit import settings
 from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.normal_equations import known_materials, solver_of
 from pbrfit.fit.objective import Objective
 
-Array = NDArray[np.float64]
 Solve = Callable[[Array], Array]
 
 

@@ -10,8 +10,8 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit.array_types import Array
 from pbrfit.fit import discrepancy
 from pbrfit.fit.discrepancy import Discrepancy
 from pbrfit.fit.noise import NoiseModel
@@ -31,8 +31,6 @@ from pbrfit.result.history import HistoryRow
 from pbrfit.result.options import FitOptions
 from pbrfit.scene.scene import Scene
 from pbrfit.steps import step
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -61,7 +59,7 @@ class Progress:
     evaluations: int
     recon_rmse: float
     elapsed_s: float
-    state: Callable[[], tuple[Materials, NDArray[np.float64]]] = field(repr=False, compare=False)
+    state: Callable[[], tuple[Materials, Array]] = field(repr=False, compare=False)
     tiles: tuple[int, int] | None = None
 
 

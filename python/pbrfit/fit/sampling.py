@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.array_types import Array, Floats, Mask
 from pbrfit.fit.settings import STRIDED_SUBSET_EXCESS
 
 
@@ -53,7 +54,7 @@ def evenly_spaced_over(labels: NDArray[np.intp], at_most: int) -> NDArray[np.uin
     return np.flatnonzero(taken).astype(np.uint64)
 
 
-def drawn(shares: NDArray[np.float64], count: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+def drawn(shares: Array, count: int) -> tuple[NDArray[np.intp], Array]:
     """Indices into `shares` (P,), in order, about `count` of them, and how many each stands for.
 
     Each is taken with a probability in proportion to its share: where the sum passes whole numbers,
@@ -64,7 +65,7 @@ def drawn(shares: NDArray[np.float64], count: int) -> tuple[NDArray[np.intp], ND
     return rows, 1 / expected[rows]
 
 
-def stride(valid: NDArray[np.bool_], at_most: int) -> tuple[int, int, int]:
+def stride(valid: Mask, at_most: int) -> tuple[int, int, int]:
     """Step s, first row and first column: every s-th row and column has about `at_most` pixels.
 
     Of the valid ones (H, W); `STRIDED_SUBSET_EXCESS` times as many at most. It begins half a step
@@ -87,16 +88,14 @@ def stride(valid: NDArray[np.bool_], at_most: int) -> tuple[int, int, int]:
         step += 1
 
 
-def placed(
-    values: NDArray[np.floating[Any]], valid: NDArray[np.bool_], fill: float = np.nan
-) -> NDArray[np.float64]:
+def placed(values: Floats, valid: Mask, fill: float = np.nan) -> Array:
     """(H, W, ...) of values (P, ...) of the valid pixels; `fill` elsewhere."""
     found = np.full(valid.shape + values.shape[1:], fill)
     found[valid] = values
     return found
 
 
-def pixel_index(valid: NDArray[np.bool_]) -> NDArray[np.intp]:
+def pixel_index(valid: Mask) -> NDArray[np.intp]:
     """(H, W): which of the valid pixels each is, row by row; −1 where it is none."""
     return np.where(valid, np.cumsum(valid).reshape(valid.shape) - 1, -1)
 

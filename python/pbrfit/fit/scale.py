@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.array_types import Array, Mask
 from pbrfit.fit import misfit, settings
 from pbrfit.fit.joint import JointFit, SharedFit
 from pbrfit.fit.light_prior import LightPrior
@@ -40,7 +41,6 @@ from pbrfit.fit.pixels import Pixels, fit_all
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.sampling import evenly_spaced, groups_of
 
-Array = NDArray[np.float64]
 Labels = NDArray[np.intp]
 
 IRRADIANCE = np.repeat([np.pi, 2 * np.pi / 3, np.pi / 4, 0.0], [1, 3, 5, 7])
@@ -115,7 +115,7 @@ def groupings(layout: ParameterLayout, pixels: Pixels) -> list[Labels]:
 
 
 def checked_white(
-    white: tuple[float, float, float], valid: NDArray[np.bool_], size: tuple[int, int]
+    white: tuple[float, float, float], valid: Mask, size: tuple[int, int]
 ) -> tuple[float, float, float]:
     """The same in pixels of the working picture, from those of pictures of `size` (height, width).
 
@@ -146,7 +146,7 @@ def reference_in_words(white: tuple[float, float, float], pixels: int, moved: Ar
     return f"by the reference at {at}: {pixels} pixels of albedo {value:g}; lights {by}"
 
 
-def reference_region(valid: NDArray[np.bool_], column: float, row: float) -> Pixels:
+def reference_region(valid: Mask, column: float, row: float) -> Pixels:
     """Which of the valid pixels are around one, or the nearest one."""
     rows, columns = np.nonzero(valid)
     far = np.maximum(np.abs(rows - row), np.abs(columns - column))

@@ -22,11 +22,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit.array_types import Array
 from pbrfit.fit import settings
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

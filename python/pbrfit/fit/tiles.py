@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit.array_types import Array
 from pbrfit.fit import settings, uncertainty
 from pbrfit.fit.normals import refined_fit
 from pbrfit.fit.objective import Normalization, valid_values
@@ -31,8 +31,6 @@ from pbrfit.result.data import Stage, Status
 from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import Refinement
 from pbrfit.scene.scene import Scene
-
-Array = NDArray[np.float64]
 
 
 def fit_tiles(

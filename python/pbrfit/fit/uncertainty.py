@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.array_types import Array, Floats
 from pbrfit.fit import settings
 from pbrfit.fit.discrepancy import Discrepancy, prior_precision
 from pbrfit.fit.normal_equations import RIDGE
@@ -47,8 +48,6 @@ from pbrfit.result.uncertainty import TWO_SIDED, Uncertainty
 from pbrfit.result.verdict import by_deviations
 from pbrfit.threads import in_pieces
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False)
 class Spread:
@@ -58,11 +57,11 @@ class Spread:
     square of its relative change.
     """
 
-    value: NDArray[np.floating[Any]]
-    variance: NDArray[np.floating[Any]]
-    low: NDArray[np.floating[Any]]
-    high: NDArray[np.floating[Any]]
-    by_scale: NDArray[np.floating[Any]]
+    value: Floats
+    variance: Floats
+    low: Floats
+    high: Floats
+    by_scale: Floats
 
     @classmethod
     def empty(cls, pixels: int, unknowns: int, channels: int) -> Spread:
@@ -231,9 +230,7 @@ def of_spread(
     )
 
 
-def _materials(
-    values: NDArray[np.floating[Any]], layout: ParameterLayout, known: float | None = 0.0
-) -> Materials:
+def _materials(values: Floats, layout: ParameterLayout, known: float | None = 0.0) -> Materials:
     """Maps of (P, D), and a metallic that is known."""
     c = layout.channels
     metallic = np.full(layout.pixels, known) if layout.metallic_known else values[:, c + 1]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.array_types import Array
 from pbrfit.fit import scale
 from pbrfit.fit.discrepancy import Discrepancy
 from pbrfit.fit.independent_lights import Shown
@@ -30,8 +31,6 @@ from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import CHANGE_DEGREES_MIN, Refinement
 from pbrfit.result.uncertainty import Uncertainty
 from pbrfit.scene.scene import Scene
-
-Array = NDArray[np.float64]
 
 Start = tuple[Materials, Array | None] | None
 """Maps to start from, and perhaps lights."""

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.array_types import Array, Codes, Mask
 from pbrfit.fit.sampling import stride
 from pbrfit.fit.settings import COMPARE_SIDE
 from pbrfit.io.color import Conversion
@@ -50,13 +51,13 @@ class Tile:
         )
 
 
-def strided_window(valid: NDArray[np.bool_], at_most: int) -> Window:
+def strided_window(valid: Mask, at_most: int) -> Window:
     """Every s-th row and column, with about so many of the valid pixels (H, W); see `stride`."""
     step, row, column = stride(valid, at_most)
     return Window(slice(row, None, step), slice(column, None, step))
 
 
-def tiles(valid: NDArray[np.bool_], margin: int, side: int) -> Iterator[Tile]:
+def tiles(valid: Mask, margin: int, side: int) -> Iterator[Tile]:
     """Tiles of at most `side` rows and columns that have valid pixels, row by row."""
     height, width = valid.shape
     for rows, outer_rows in _pieces(height, margin, side):
@@ -91,7 +92,7 @@ class PartialScene(Scene):
         pass
 
     @property
-    def views(self) -> NDArray[np.float64]:
+    def views(self) -> Array:
         """(h, w, 3) unit vectors from the surface to the camera."""
         size, window = (self.whole.height, self.whole.width), self.window
         return geometry.view_directions(*size, self.fov, window.rows, window.columns)
@@ -147,7 +148,7 @@ def without_shape(scene: Scene) -> Scene:
     mask = averaged(scene.valid, size) > 1 - 1e-4
     if not mask.any():
         return scene
-    limits: NDArray[np.uint8] = np.zeros(images.shape, np.uint8)
+    limits: Codes = np.zeros(images.shape, np.uint8)
     if scene.limits is not None:
         limits = np.stack([Conversion("linear").of_limits(of, size) for of in scene.limits])
     weights = None

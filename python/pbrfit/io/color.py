@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pbrfit._core import average_light
-from pbrfit.io.checks import one_of
+from pbrfit.array_types import Array, Floats
+from pbrfit.checks import one_of
 from pbrfit.io.limits import Limits, converted
 
 ColorSpace = Literal["srgb", "linear", "acescg", "display-p3", "adobe-rgb"]
@@ -71,7 +72,7 @@ def over_channels(of: np.ufunc, values: NDArray[Any]) -> NDArray[Any]:
     return reduce(of, np.moveaxis(values, -1, 0))
 
 
-def decode_srgb(encoded: ArrayLike) -> NDArray[np.float64]:
+def decode_srgb(encoded: ArrayLike) -> Array:
     """Linear light of sRGB values (IEC 61966-2-1), 1 = white; of negative ones by symmetry."""
     value = np.asarray(encoded, dtype=np.float64)
     size = np.abs(value)
@@ -79,7 +80,7 @@ def decode_srgb(encoded: ArrayLike) -> NDArray[np.float64]:
     return np.copysign(linear, value)
 
 
-def encode_srgb(linear: ArrayLike) -> NDArray[np.float64]:
+def encode_srgb(linear: ArrayLike) -> Array:
     """Encode linear light of any shape as sRGB, float64, not clipped: undoes `decode_srgb`."""
     value = np.asarray(linear, dtype=np.float64)
     size = np.abs(value)
@@ -87,7 +88,7 @@ def encode_srgb(linear: ArrayLike) -> NDArray[np.float64]:
     return np.copysign(encoded, value)
 
 
-def rgb_to_xyz(primaries: Primaries) -> NDArray[np.float64]:
+def rgb_to_xyz(primaries: Primaries) -> Array:
     """Matrix (3, 3) from linear RGB to CIE XYZ, white with Y = 1.
 
     The columns are the primaries, (x, y, 1-x-y), scaled so that they add up to the white point.
@@ -107,13 +108,13 @@ def rgb_to_xyz(primaries: Primaries) -> NDArray[np.float64]:
     raise ValueError(f"chromaticities: expected a triangle around white, found {found}")
 
 
-def to_rec709(primaries: Primaries) -> NDArray[np.float64]:
+def to_rec709(primaries: Primaries) -> Array:
     """Matrix (3, 3) from linear RGB to Rec.709, whose rows sum to 1; raises as `rgb_to_xyz`."""
     to_xyz = rgb_to_xyz(primaries)
     return colorants_to_rec709(to_xyz, to_xyz.sum(axis=1))
 
 
-def colorants_to_rec709(to_xyz: ArrayLike, white: NDArray[np.float64]) -> NDArray[np.float64]:
+def colorants_to_rec709(to_xyz: ArrayLike, white: Array) -> Array:
     """Matrix (3, 3) to linear Rec.709 of colorants (columns) in XYZ under a white (3,) in XYZ."""
     rec709 = rgb_to_xyz(REC709)
     gain = (_BRADFORD @ rec709.sum(axis=1)) / (_BRADFORD @ white)  # adapts white to white
@@ -144,7 +145,7 @@ class Conversion:
 
     curve: Curve | float | NDArray[np.float32]
     """``"srgb"``, ``"linear"``, an exponent, or sampled curves (1 or 3, levels), float32."""
-    matrix: NDArray[np.float64] | None = None
+    matrix: Array | None = None
     """(3, 3) from linear RGB to linear Rec.709, or None for the identity."""
 
     def __call__(self, samples: NDArray[Any]) -> NDArray[np.float32]:
@@ -190,7 +191,7 @@ class Conversion:
         self.average(np.array([1, 2, 0], np.uint8)[limits], place, (1, 1))
         return place.limits
 
-    def slopes(self, linear: NDArray[np.floating[Any]], levels: int) -> NDArray[np.float32]:
+    def slopes(self, linear: Floats, levels: int) -> NDArray[np.float32]:
         """Radiance a code, of `levels`, before the matrix, at linear Rec.709 (..., 3)."""
         if self.matrix is not None:
             linear = linear @ np.linalg.inv(self.matrix).T.astype(np.float32)

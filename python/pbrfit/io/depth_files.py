@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.array_types import Array
+from pbrfit.checks import finite
 from pbrfit.io import layers
-from pbrfit.io.checks import finite
 from pbrfit.io.images import read_stored
 from pbrfit.io.input_files import there
 from pbrfit.io.quoting import listed, shown
@@ -29,9 +29,7 @@ def find_depth(folder: Path) -> Path | None:
     return found[0] if found else None
 
 
-def read_depth(
-    path: Path, unit: float = 1.0, *, own: bool = False
-) -> tuple[NDArray[np.float64], list[str]]:
+def read_depth(path: Path, unit: float = 1.0, *, own: bool = False) -> tuple[Array, list[str]]:
     """(H, W) of an EXR file, another picture or .npy, and in words how it was read, if not plainly.
 
     Numbers are as stored, times a `unit` above 0, as of `METRES`. A scene folder's `own` file has

@@ -40,11 +40,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.array_types import Array, Codes, Floats
 from pbrfit.io.color import Conversion
 from pbrfit.io.exif import without_warnings
 from pbrfit.io.resampling import area_shares
-
-Array = NDArray[np.float64]
 
 SIDE = 8
 """Samples along a block."""
@@ -79,12 +78,12 @@ class FileNoise:
     conversion: Conversion
     levels: int
     """Codes there are: 256 or 65536."""
-    variance: NDArray[np.float64]
+    variance: Array
     """(3,): of the errors of R, G and B, in codes²."""
     correlation: float
     """Of these errors with those of another picture of the view: 0 for rounding."""
 
-    def deviation(self, pixels: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
+    def deviation(self, pixels: Floats) -> NDArray[np.float32]:
         """Standard deviations of `pixels` (..., 3)."""
         slopes = self.conversion.slopes(pixels, self.levels)
         variance = np.square(slopes) * self.variance.astype(np.float32)
@@ -151,9 +150,7 @@ def read_tables(data: bytes, channels: int) -> Tables | None:
     return Tables(steps.reshape(channels, SIDE, SIDE), sampling, to_rgb)
 
 
-def jpeg_variance(
-    codes: NDArray[np.uint8], tables: Tables, size: tuple[int, int]
-) -> tuple[Array, float]:
+def jpeg_variance(codes: Codes, tables: Tables, size: tuple[int, int]) -> tuple[Array, float]:
     """(3,): variances of R, G and B, in codes², of a decoded picture (H, W, C) averaged to `size`.
 
     Without the last rounding to codes; and what their mean shares with other pictures' means.

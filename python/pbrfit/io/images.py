@@ -24,9 +24,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
 from pbrfit._core import InputError
+from pbrfit.array_types import Array, Mask
+from pbrfit.checks import one_of
 from pbrfit.io import color as coding
 from pbrfit.io import exif, layers, radiance, raw_files
-from pbrfit.io.checks import one_of
 from pbrfit.io.color import ColorSpace, Conversion, Curve, Place, Primaries
 from pbrfit.io.file_noise import Stored, read_tables
 from pbrfit.io.input_files import PICTURE_BYTES, content_of, names_file, open_file, read_bytes
@@ -80,7 +81,7 @@ class Picture:
     limits: Limits | None
     """(H, W, 3), uint8: `AT_LEAST` or `AT_MOST` where `pixels` bound the radiance, as a code is
     outside the code range, or an EXR file's layer says so; 0 elsewhere. None = nowhere."""
-    negative: NDArray[np.bool_]
+    negative: Mask
     """(H, W), bool, not averaged: some channel is below 0 in the file's own primaries."""
     color: str
     """One sentence on how the colour was decided."""
@@ -188,7 +189,7 @@ def read_picture(
             alpha = None
             notes = (*notes, "alpha is 0 in all pixels and ignored")
     stored, codes, maximum = None, None, 1
-    negative: NDArray[np.bool_] = np.broadcast_to(False, colors.shape[:2])
+    negative: Mask = np.broadcast_to(False, colors.shape[:2])
     if samples.dtype.kind == "u":
         maximum = int(np.iinfo(samples.dtype).max)
         codes = (1, maximum - 1)
@@ -256,7 +257,7 @@ def file_of(path: Path) -> Path:
     return path.parent if re.search(r"_\d+$", path.stem) and path.parent.is_file() else path
 
 
-def read_data(path: str | os.PathLike[str]) -> NDArray[np.float64]:
+def read_data(path: str | os.PathLike[str]) -> Array:
     """Read a mask or other data: never decoded as colour.
 
     Returns (H, W, C), float64: grey, grey and alpha, RGB, or RGB and alpha. Integers are divided by

@@ -8,18 +8,19 @@ the value of that code. Where both meet in one number, the bound from above is t
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from pbrfit.array_types import Array, Codes
 
 ORDINARY, AT_LEAST, AT_MOST = 0, 1, 2
 """What a sample says of the true radiance: what it is; at least so much; at most so much."""
 
-Limits = NDArray[np.uint8]
+Limits = Codes
 
 _NO_PART = 1e-3
 """Share of a file's channel in a converted one up to which it has no part: rounding of profiles."""
 
 
-def converted(limits: Limits, matrix: NDArray[np.float64] | None) -> Limits:
+def converted(limits: Limits, matrix: Array | None) -> Limits:
     """Limits (..., 3) of the colours that a matrix makes, from those of its channels.
 
     Of a channel that is clipped from above, or several, the radiance exceeds the stored one by an

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.array_types import Array, Floats, Mask
 from pbrfit.io import images, layers
 from pbrfit.io.images import read_stored
 from pbrfit.io.input_files import there
@@ -52,18 +53,18 @@ class Convention:
     frame: str = "camera"
     """One of "camera", "world" and "tangent", that of a flat card which is parallel to the picture:
     its X and Y run along the picture's sides, and (0, 0, 1) faces the viewer."""
-    world_to_camera: NDArray[np.float64] | None = None
+    world_to_camera: Array | None = None
     """(3, 3) rotation, needed when the frame is "world": n_camera = R n_world."""
 
-    def to_camera(self, normals: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+    def to_camera(self, normals: Floats) -> Array:
         """(..., 3) normals of this convention in camera space."""
         return np.asarray(np.asarray(normals, np.float64) @ self._matrix().T)
 
-    def from_camera(self, normals: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+    def from_camera(self, normals: Floats) -> Array:
         """(..., 3) normals of camera space in this convention: undoes `to_camera`."""
         return np.asarray(np.asarray(normals, np.float64) @ self._matrix())
 
-    def _matrix(self) -> NDArray[np.float64]:
+    def _matrix(self) -> Array:
         """(3, 3), orthogonal: n_camera = M n."""
         turn = self.world_to_camera if self.frame == "world" else np.eye(3)
         if turn is None:
@@ -84,7 +85,7 @@ def find_normals(folder: Path) -> list[Path]:
 class StoredNormals:
     """Normals that a file holds, decoded."""
 
-    vectors: NDArray[np.float64]
+    vectors: Array
     """(H, W, 3) in the frame of the file, of any length; NaN where the file has no normal."""
     uncertainty: NDArray[np.float32] | None
     """(H, W): `UNCERTAINTY` as it is stored; None if the file has none."""
@@ -92,7 +93,7 @@ class StoredNormals:
     """What was read otherwise than the kind of file suggests, in words."""
 
 
-def read_normals(path: Path, mask: NDArray[np.bool_] | None = None) -> StoredNormals:
+def read_normals(path: Path, mask: Mask | None = None) -> StoredNormals:
     """Read a normal map: an EXR file, another picture, or .npy of shape (H, W, 3) or (3, H, W).
 
     Integers of a picture are codes, n = 2v - 1 with v from 0 to 1, and floats are components,
@@ -134,9 +135,7 @@ def read_normals(path: Path, mask: NDArray[np.bool_] | None = None) -> StoredNor
     return StoredNormals(vectors, uncertainty, (*said, *how))
 
 
-def _decoded(
-    path: Path, stored: NDArray[Any], mask: NDArray[np.bool_] | None
-) -> tuple[NDArray[np.float64], list[str]]:
+def _decoded(path: Path, stored: NDArray[Any], mask: Mask | None) -> tuple[Array, list[str]]:
     """Vectors (H, W, 3) of what is stored, (H, W, 2 or 3), and how they were read, if otherwise.
 
     The reading is the one in which lengths are nearest to 1, in the median: that of the number type
@@ -151,7 +150,7 @@ def _decoded(
     low, high = some.min(initial=0.0), some.max(initial=0.0)
     whole = stored.dtype.kind == "u"
     plain = partial(_of_codes, np.iinfo(stored.dtype).max if whole else 1, not whole)
-    readings: dict[str, Callable[[NDArray[Any]], NDArray[np.float64]]] = {"": plain}
+    readings: dict[str, Callable[[NDArray[Any]], Array]] = {"": plain}
     if not whole and low >= -ROUNDING and high <= 1 + ROUNDING:
         readings["0 to 1 read as 2v − 1"] = partial(_of_codes, 1, False)
     if stored.shape[-1] == 2:  # lengths tell nothing, but numbers below 0 tell components
@@ -181,12 +180,12 @@ def _decoded(
     return readings[best](stored), [best] if best else []
 
 
-def _of_codes(largest: int, signed: bool, values: NDArray[Any]) -> NDArray[np.float64]:
-    shares: NDArray[np.float64] = values / np.float64(largest)
+def _of_codes(largest: int, signed: bool, values: NDArray[Any]) -> Array:
+    shares: Array = values / np.float64(largest)
     return shares if signed else 2.0 * shares - 1.0
 
 
-def _with_z(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def _with_z(vectors: Array) -> Array:
     """Unit vectors that face the viewer, of their x and y; longer where there are none."""
     x, y = vectors[..., 0], vectors[..., 1]
     return np.stack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 0))], axis=-1)
@@ -194,8 +193,8 @@ def _with_z(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def write_normals(
     path: Path,
-    normals: NDArray[np.floating[Any]],
-    uncertainty: NDArray[np.floating[Any]] | None = None,
+    normals: Floats,
+    uncertainty: Floats | None = None,
 ) -> None:
     """Write `normals.exr`: channels X, Y, Z, and `UNCERTAINTY` if there is one.
 

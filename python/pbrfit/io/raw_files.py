@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.array_types import Array, Mask
 from pbrfit.io import exif
 from pbrfit.io.color import REC709, rgb_to_xyz
 from pbrfit.io.limits import AT_LEAST, Limits, converted
@@ -112,7 +113,7 @@ def _opened(path: Path, data: bytes) -> Iterator[tuple[Any, Any]]:
         raise InputError(f"{path}: expected a raw file that LibRaw reads, found {said}") from None
 
 
-def _clipped(raw: Any) -> NDArray[np.bool_]:
+def _clipped(raw: Any) -> Mask:
     """(H, W, 3): where a sensor's sample of a channel was clipped, before it is turned."""
     from scipy.ndimage import maximum_filter
 
@@ -130,7 +131,7 @@ def _clipped(raw: Any) -> NDArray[np.bool_]:
     return np.stack(planes, axis=-1)
 
 
-def _matrix(raw: Any) -> NDArray[np.float64] | None:
+def _matrix(raw: Any) -> Array | None:
     """(3, 3) from the camera's balanced channels to linear Rec.709; rows sum to 1.
 
     LibRaw has it, or it follows from that from XYZ, scaled so that white has equal ones; or None.

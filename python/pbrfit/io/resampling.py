@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.array_types import Array, Mask
+
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
@@ -19,7 +21,7 @@ def reduced_size(shape: tuple[int, ...], side: int) -> tuple[int, int]:
     return max(1, round(height * side / longer)), max(1, round(width * side / longer))
 
 
-def averaged(plane: NDArray[Any], size: tuple[int, int]) -> NDArray[np.float64]:
+def averaged(plane: NDArray[Any], size: tuple[int, int]) -> Array:
     """Average of a plane (H, W) over the area that falls on each pixel of (height, width).
 
     Parts of old pixels count by their size. NaN and infinity stay in what they have a part in.
@@ -37,14 +39,12 @@ def at_centres(ids: NDArray[Any], size: tuple[int, int]) -> NDArray[Any]:
     return ids[np.ix_(rows, columns)]
 
 
-def averaged_channels(image: NDArray[Any], size: tuple[int, int]) -> NDArray[np.float64]:
+def averaged_channels(image: NDArray[Any], size: tuple[int, int]) -> Array:
     """Each channel of an image (H, W, C) `averaged`, (height, width, C)."""
     return np.stack([averaged(image[..., c], size) for c in range(image.shape[-1])], axis=-1)
 
 
-def averaged_where(
-    image: NDArray[Any], used: NDArray[np.bool_], size: tuple[int, int]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def averaged_where(image: NDArray[Any], used: Mask, size: tuple[int, int]) -> tuple[Array, Array]:
     """Means (height, width, ...) over what is `used` of (H, W, ...), 0 without; its shares."""
     planes = np.where(used[..., None], image.reshape(*used.shape, -1), 0)
     total, share = averaged_channels(planes, size), averaged(used, size)

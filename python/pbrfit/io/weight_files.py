@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.array_types import Array, Floats
 from pbrfit.io import images
 from pbrfit.io.quoting import listed
 from pbrfit.io.resampling import averaged_channels
@@ -46,7 +46,7 @@ def read_weights(path: Path, names: Sequence[str]) -> NDArray[np.float32]:
     return np.stack([np.stack(of * (colors // len(of)), axis=-1) for of in own])
 
 
-def write_weights(path: Path, weights: NDArray[np.floating[Any]], names: Sequence[str]) -> None:
+def write_weights(path: Path, weights: Floats, names: Sequence[str]) -> None:
     """Write weights (H, W), (N, H, W) or (N, H, W, 3): what is alike is there once."""
     if weights.ndim < 4:
         weights = weights[..., None]
@@ -54,14 +54,14 @@ def write_weights(path: Path, weights: NDArray[np.floating[Any]], names: Sequenc
     if (weights == weights[0, ..., :1]).all():
         images.write_exr(path, {ALL: weights[0, ..., 0]})
         return
-    channels: dict[str, NDArray[np.floating[Any]]] = {}
+    channels: dict[str, Floats] = {}
     for name, own in zip(names, weights, strict=True):
         kinds = COLORS if np.ptp(own, axis=-1).any() else (ALL,)
         channels |= {f"{name}.{kind}": own[..., c] for c, kind in enumerate(kinds)}
     images.write_exr(path, channels)
 
 
-def reduced(weights: NDArray[np.floating[Any]], size: tuple[int, int]) -> NDArray[np.float64]:
+def reduced(weights: Floats, size: tuple[int, int]) -> Array:
     """Weights (..., H, W, C) of samples that are averaged down to (height, width).
 
     A weight is the inverse of a variance. The mean of samples with variances 1/ω_i and shares s_i

@@ -12,7 +12,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from pbrfit._core import InputError
-from pbrfit.io.arrays import Array, Mask
+from pbrfit.array_types import Array, Mask
 from pbrfit.model import geometry
 
 FACING = np.array([0.0, 0.0, 1.0])

@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
 from pbrfit._core import InputError
-from pbrfit.io.arrays import Array
-from pbrfit.io.checks import finite, real_array
+from pbrfit.array_types import Array
+from pbrfit.checks import finite, real_array
 from pbrfit.io.color import ColorSpace
 from pbrfit.lazy import lazy
 from pbrfit.model import panorama

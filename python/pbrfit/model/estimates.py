@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.checks import real_array
 from pbrfit.io import images
-from pbrfit.io.checks import real_array
 from pbrfit.io.quoting import listed
 from pbrfit.io.resampling import averaged_channels
 from pbrfit.model.materials import Materials

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.io.arrays import Array, Mask
-from pbrfit.io.checks import reals
+from pbrfit.array_types import Array, Mask
+from pbrfit.checks import reals
 from pbrfit.io.json_files import as_json
 from pbrfit.io.lamp_files import LampRow
 

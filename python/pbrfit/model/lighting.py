@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pbrfit._core import InputError
-from pbrfit.io.checks import finite, of_what, real_array
+from pbrfit.checks import finite, of_what, real_array
 from pbrfit.io.json_files import UNFIT, read_as, read_json, table, unfit, write_json
 from pbrfit.io.lamp_files import LENGTH_OFF_MAX, rows_of_json, unit
 from pbrfit.io.quoting import quoted, shown

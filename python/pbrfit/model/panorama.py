@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pbrfit._core import InputError
+from pbrfit.array_types import Array, Floats
 from pbrfit.io import images
-from pbrfit.io.arrays import Array, Floats
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.limits import AT_LEAST
 from pbrfit.model.lighting import BAND_OF

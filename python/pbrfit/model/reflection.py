@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
 from pbrfit._core import InputError
-from pbrfit.io.arrays import Array, Floats, Mask
-from pbrfit.io.checks import of_what, real_array
+from pbrfit.array_types import Array, Floats, Mask
+from pbrfit.checks import of_what, real_array
 from pbrfit.model.geometry import positions, view_directions
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials

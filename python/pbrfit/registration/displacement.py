@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.arrays import Array, Floats, Mask
+from pbrfit.array_types import Array, Floats, Mask
 from pbrfit.io.resampling import averaged_channels, averaged_where
 from pbrfit.registration import alignment
 from pbrfit.scene.scene import Scene

@@ -18,7 +18,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.arrays import Array, Codes, Mask
+from pbrfit.array_types import Array, Codes, Mask
 from pbrfit.io.resampling import reduced_size
 from pbrfit.model.materials import nearest_inside
 from pbrfit.registration import alignment

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pbrfit.array_types import Array, Floats, Mask
 from pbrfit.display.tone import encoded
-from pbrfit.io.arrays import Array, Floats, Mask
 from pbrfit.result import metrics
 from pbrfit.result.drawing import BLACK, BLUE, GREY, ORANGE, as_png, new_figure
 from pbrfit.scene.ball import Ball

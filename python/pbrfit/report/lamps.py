@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pbrfit.io.arrays import Array
+from pbrfit.array_types import Array
 from pbrfit.report import figures, lamp_sheet
 from pbrfit.report.html import Cell, Table, heads, number, paragraph, table
 from pbrfit.report.lights import LUMINANCE

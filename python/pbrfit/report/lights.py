@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pbrfit.array_types import Array
 from pbrfit.display.tone import encoded
-from pbrfit.io.arrays import Array
 from pbrfit.model import panorama
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model, render

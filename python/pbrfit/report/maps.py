@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.arrays import Array, Floats
+from pbrfit.array_types import Array, Floats
 from pbrfit.io.color import encode_srgb
 from pbrfit.io.resampling import reduced_size
 from pbrfit.model.materials import Materials

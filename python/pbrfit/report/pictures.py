@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pbrfit.array_types import Array
 from pbrfit.display.tone import encoded
-from pbrfit.io.arrays import Array
 from pbrfit.report import lights, raster
 from pbrfit.report.html import Cell, Table, heads, number
 from pbrfit.report.lights import Light

@@ -7,8 +7,8 @@ import io
 import numpy as np
 from PIL import Image
 
+from pbrfit.array_types import Array, Floats, Mask
 from pbrfit.display.tone import codes
-from pbrfit.io.arrays import Array, Floats, Mask
 from pbrfit.io.resampling import averaged, averaged_channels, averaged_where, reduced_size
 from pbrfit.result.differences import OUTSIDE, PALETTE, Difference
 

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pbrfit.array_types import Array
 from pbrfit.display.tone import encoded
-from pbrfit.io.arrays import Array
 from pbrfit.io.resampling import reduced_size
 from pbrfit.report import figures, raster
 from pbrfit.report.html import paragraph

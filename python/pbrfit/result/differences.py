@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pbrfit.io.arrays import Array, Codes, Floats, Mask
+from pbrfit.array_types import Array, Codes, Floats, Mask
 from pbrfit.io.color import encode_srgb, over_channels
 from pbrfit.model.materials import Materials
 from pbrfit.result.refinement import CHANGE_DEGREES_MIN

@@ -10,8 +10,8 @@ import math
 import numpy as np
 
 from pbrfit._core import InputError
-from pbrfit.io.arrays import Array, Floats, Mask
-from pbrfit.io.checks import reals
+from pbrfit.array_types import Array, Floats, Mask
+from pbrfit.checks import reals
 from pbrfit.io.color import over_channels
 
 PROTOCOL = (

@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 import numpy as np
 
 from pbrfit._core import InputError
-from pbrfit.io.checks import finite, of_what, one_of
+from pbrfit.checks import finite, of_what, one_of
 from pbrfit.model.reflection import MODELS, Model, checked_model, whole_number
 from pbrfit.result.refinement import RefineNormals
 

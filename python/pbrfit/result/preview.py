@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pbrfit.io.arrays import Array, Codes, Floats, Mask
+from pbrfit.array_types import Array, Codes, Floats, Mask
 from pbrfit.model.materials import Materials
 from pbrfit.result import differences, metrics
 from pbrfit.result.data import ResultData

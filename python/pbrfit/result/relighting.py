@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pbrfit._core import InputError
-from pbrfit.io.checks import finite, of_what
+from pbrfit.checks import finite, of_what
 from pbrfit.io.quoting import listed, quoted
 from pbrfit.model import lighting
 from pbrfit.model.environment import Environment, render_environment

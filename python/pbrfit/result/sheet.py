@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from pbrfit.array_types import Codes, Floats
 from pbrfit.display.tone import encoded
-from pbrfit.io.arrays import Codes, Floats
 from pbrfit.result.verdict import Mark
 
 PANEL_SIDE = (192, 384)

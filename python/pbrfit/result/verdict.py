@@ -14,7 +14,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from pbrfit.io.arrays import Codes, Floats
+from pbrfit.array_types import Codes, Floats
 from pbrfit.io.json_files import read_as, table
 from pbrfit.model.materials import Materials
 from pbrfit.result.held_out import HeldOut

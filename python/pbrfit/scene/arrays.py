@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.io.checks import any_array, of_what, real_array, real_number, reals
+from pbrfit.array_types import Array, Codes, Floats, Mask
+from pbrfit.checks import any_array, of_what, real_array, real_number, reals
 from pbrfit.io.color import Conversion, Curve, decode_srgb, encode_srgb
 from pbrfit.io.limits import AT_LEAST, AT_MOST
 from pbrfit.io.normal_files import MIN_NORMAL_LENGTH
@@ -34,7 +35,7 @@ log = logging.getLogger("pbrfit")
 
 Places = NDArray[np.intp]
 
-Counted = list[NDArray[np.bool_]] | None
+Counted = list[Mask] | None
 """(H, W, 3) bool of each picture: the values that count; None = all."""
 
 CHANNELS = "red", "green", "blue"
@@ -66,9 +67,9 @@ class Truth:
     """
 
     materials: Materials
-    lighting: NDArray[np.float64] | None = None
-    relight_images: NDArray[np.floating[Any]] | None = None
-    relight_lighting: NDArray[np.float64] | None = None
+    lighting: Array | None = None
+    relight_images: Floats | None = None
+    relight_lighting: Array | None = None
 
 
 _NEEDED: dict[str, type] = {"assumed": Mapping, "inputs": Mapping}
@@ -163,16 +164,16 @@ class SceneArrays:
         If an array has the wrong shape or values that cannot be used; one line that names it.
     """
 
-    images: NDArray[np.floating[Any]]
-    normals: NDArray[np.floating[Any]] = None  # type: ignore[assignment]  # an array once it is made
+    images: Floats
+    normals: Floats = None  # type: ignore[assignment]  # an array once it is made
     fov: float = None  # type: ignore[assignment]  # a number once the scene is made
-    mask: NDArray[np.bool_] | None = None
+    mask: Mask | None = None
     segments: NDArray[np.integer[Any]] | None = None
-    lighting: NDArray[np.float64] | None = None
-    weights: NDArray[np.floating[Any]] | None = None
-    limits: NDArray[np.uint8] | None = None
+    lighting: Array | None = None
+    weights: Floats | None = None
+    limits: Codes | None = None
     file_noise: tuple[FileNoise | None, ...] | None = None
-    normal_sigma: NDArray[np.floating[Any]] | None = None
+    normal_sigma: Floats | None = None
     names: tuple[str, ...] = ()
     truth: Truth | None = None
     assumed: Mapping[str, str] = field(default_factory=dict)
@@ -181,7 +182,7 @@ class SceneArrays:
     model: Model | None = None
     fov_known: bool = True
     correction: Correction | None = None
-    depth: NDArray[np.floating[Any]] | None = None
+    depth: Floats | None = None
     lamps: Lamps | None = None
     normals_known: bool = True
     response: Curve | None = None
@@ -235,7 +236,7 @@ class SceneArrays:
             raise InputError(f"file_noise: expected {n}, found {len(file_noise)}")
         assumed, counted = self.assumed, _counted(mask, weights, n)
         if self.limits is not None:
-            limits: NDArray[np.uint8] | None = _limits(self.limits, images.shape)
+            limits: Codes | None = _limits(self.limits, images.shape)
         else:
             limits = plateaus(images, counted, [noise is None for noise in file_noise])
             if limits is not None:
@@ -314,7 +315,7 @@ class SceneArrays:
         return int(self.images.shape[2])
 
     @lazy
-    def valid(self) -> NDArray[np.bool_]:
+    def valid(self) -> Mask:
         """(H, W) bool: the pixels that are fitted.
 
         They are in the mask, and some sample of theirs has weight and is at no limit.
@@ -371,7 +372,7 @@ class SceneArrays:
         found[self.valid] = self.labels[0]
         return found
 
-    def samples(self, picture: int, places: Places | None = None) -> NDArray[np.floating[Any]]:
+    def samples(self, picture: int, places: Places | None = None) -> Floats:
         """(P, 3): a picture at the valid pixels in row order; 0 where it has no weight.
 
         Or at some places of the picture, row by row, read alone. No copy where all pixels count.
@@ -384,7 +385,7 @@ class SceneArrays:
                 return values.reshape(-1, *values.shape[2:])
             return np.asarray(values[self.valid])
 
-        samples: NDArray[np.floating[Any]] = at(self.images[picture])
+        samples: Floats = at(self.images[picture])
         if self.weights is not None:
             samples[at(self.weights[picture]) == 0] = 0
         if self.correction is not None:
@@ -420,7 +421,7 @@ class SceneArrays:
         known = [noise.correlation for noise in self.file_noise or () if noise is not None]
         return sum(known) / len(known) if known else 0.0
 
-    def brightness(self, picture: int) -> NDArray[np.float64]:
+    def brightness(self, picture: int) -> Array:
         """(P,): the mean over the channels of `samples`."""
         return np.asarray(sum(self.samples(picture).T, np.zeros(1)) / 3)  # faster than `mean`
 
@@ -464,7 +465,7 @@ class SceneArrays:
             assumed={**self.assumed, "color": told},
         )
 
-    def file_values(self, radiance: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+    def file_values(self, radiance: Floats) -> Floats:
         """Radiance (..., 3) as the files' values, where 1 is white: `response` undone."""
         return encode_srgb(radiance) if self.response == "srgb" else radiance
 
@@ -488,7 +489,7 @@ class SceneArrays:
             truth=truth,
         )
 
-    def picture(self, i: int, rows: slice) -> NDArray[np.floating[Any]]:
+    def picture(self, i: int, rows: slice) -> Floats:
         """Some rows of a picture, (h, W, 3), corrected."""
         if self.correction is None:
             return self.images[i, rows]
@@ -500,12 +501,12 @@ class SceneArrays:
         return float(np.mean([raw.brightness(i).mean() for i in range(len(self.images))]))
 
     @property
-    def views(self) -> NDArray[np.float64]:
+    def views(self) -> Array:
         """(H, W, 3) unit vectors from the surface to the camera."""
         return geometry.view_directions(self.height, self.width, self.fov)
 
 
-def _mask(mask: NDArray[Any] | None, shape: tuple[int, int]) -> NDArray[np.bool_] | None:
+def _mask(mask: NDArray[Any] | None, shape: tuple[int, int]) -> Mask | None:
     if mask is None:
         return None
     mask = reals("mask", mask, shape)
@@ -518,7 +519,7 @@ def _mask(mask: NDArray[Any] | None, shape: tuple[int, int]) -> NDArray[np.bool_
 
 
 def _weights(
-    weights: Any, names: tuple[str, ...], shape: tuple[int, int], mask: NDArray[np.bool_] | None
+    weights: Any, names: tuple[str, ...], shape: tuple[int, int], mask: Mask | None
 ) -> NDArray[np.float32] | None:
     """As (N, H, W, 3) float32; what the mask leaves out need not be sound and gets weight 0."""
     if weights is None:
@@ -558,19 +559,19 @@ def check_not_negative(expected: str, values: NDArray[Any], told: NDArray[Any]) 
         raise InputError(f"{expected}, 0 or more, found {told[index]:g} at {index}")
 
 
-def _limits(limits: Any, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+def _limits(limits: Any, shape: tuple[int, ...]) -> Codes:
     given = any_array("limits", limits, shape)
     known = given.dtype == np.uint8 and given.max() <= max(AT_LEAST, AT_MOST)
     if not known and (
         given.dtype.kind not in "buif" or not np.isin(given, (0, AT_LEAST, AT_MOST)).all()
     ):
         raise InputError(f"limits: expected 0, {AT_LEAST} or {AT_MOST}, found others")
-    found: NDArray[np.uint8] = given.astype(np.uint8, copy=False)
+    found: Codes = given.astype(np.uint8, copy=False)
     # Of zeros one is kept: not None, which would have plateaus sought.
     return found if found.any() else np.broadcast_to(np.uint8(0), shape)
 
 
-def all_at_limits(limits: NDArray[np.uint8]) -> NDArray[np.intp]:
+def all_at_limits(limits: Codes) -> NDArray[np.intp]:
     """Pixels, row by row, whose samples of all pictures (N, H, W, 3) are at a limit."""
     first, *others = (of.reshape(-1, 3) for of in limits)
     left = np.flatnonzero((first[:, 0] != 0) & (first[:, 1] != 0) & (first[:, 2] != 0))
@@ -579,22 +580,20 @@ def all_at_limits(limits: NDArray[np.uint8]) -> NDArray[np.intp]:
     return left
 
 
-def _counted(
-    mask: NDArray[np.bool_] | None, weights: NDArray[np.float32] | None, pictures: int
-) -> Counted:
+def _counted(mask: Mask | None, weights: NDArray[np.float32] | None, pictures: int) -> Counted:
     """(H, W, 3) of each picture: values in the mask and of some weight; None = all."""
     if weights is not None:
         return [of_picture > 0 for of_picture in weights]
     return None if mask is None else [every_channel(mask)] * pictures
 
 
-def counted_limits(limits: NDArray[np.uint8], counted: Counted) -> Iterator[NDArray[np.uint8]]:
+def counted_limits(limits: Codes, counted: Counted) -> Iterator[Codes]:
     """Those of each picture's values that are counted."""
     for i, of_picture in enumerate(limits):
         yield of_picture.ravel() if counted is None else of_picture[counted[i]]
 
 
-def limits_in_words(limits: NDArray[np.uint8], counted: Counted) -> str:
+def limits_in_words(limits: Codes, counted: Counted) -> str:
     """Which share of the values of counted samples is bounded."""
     total, bounded = 0, np.zeros(2)
     for of_picture in counted_limits(limits, counted):
@@ -608,7 +607,7 @@ def limits_in_words(limits: NDArray[np.uint8], counted: Counted) -> str:
     return f"of the values {', '.join(shares)}: they only bound the radiance"
 
 
-def _negative_in_words(images: NDArray[np.floating[Any]], counted: Counted) -> str:
+def _negative_in_words(images: Floats, counted: Counted) -> str:
     """Which share of the values of counted samples is below 0; empty where none is."""
     below, total, lowest = 0, 0, 0.0
     for i, image in enumerate(images):
@@ -626,7 +625,7 @@ def _negative_in_words(images: NDArray[np.floating[Any]], counted: Counted) -> s
     return f"{share} of the values are below 0, down to {lowest:.2g}: fitted as they are"
 
 
-def every_channel(pixels: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def every_channel(pixels: Mask) -> Mask:
     """(..., 3): the same for all channels, without copies."""
     return np.broadcast_to(pixels[..., None], (*pixels.shape, 3))
 
@@ -661,7 +660,7 @@ def _names(given: Any, pictures: int) -> tuple[str, ...]:
 def _check_finite(
     images: NDArray[Any],
     names: tuple[str, ...],
-    mask: NDArray[np.bool_] | None,
+    mask: Mask | None,
     weights: NDArray[np.float32] | None,
 ) -> None:
     for i, (name, image) in enumerate(zip(names, images, strict=True)):
@@ -675,7 +674,7 @@ def _check_finite(
         _refuse(bad.any(axis=-1), f"{name}: expected finite pixels", "NaN or infinite")
 
 
-def _refuse(bad: NDArray[np.bool_], expected: str, found: str) -> None:
+def _refuse(bad: Mask, expected: str, found: str) -> None:
     """Raise InputError if a pixel (H, W) is bad."""
     if bad.any():
         row, column = np.argwhere(bad)[0]
@@ -685,7 +684,7 @@ def _refuse(bad: NDArray[np.bool_], expected: str, found: str) -> None:
         )
 
 
-def unit_normals(normals: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
+def unit_normals(normals: NDArray[Any], valid: Mask) -> Array:
     """(H, W, 3) normals of unit length where `valid`, NaN elsewhere; InputError if one has none."""
     normals = real_array("normals", normals, (*valid.shape, 3))
     with np.errstate(over="ignore"):  # an infinite length is refused
@@ -697,7 +696,7 @@ def unit_normals(normals: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.
     return np.where(valid[..., None], normals / length[..., None], np.nan)
 
 
-def _sigma(given: Any, valid: NDArray[np.bool_]) -> NDArray[np.float32] | None:
+def _sigma(given: Any, valid: Mask) -> NDArray[np.float32] | None:
     """Standard deviations of normals as float32, NaN where not `valid`."""
     if given is None:
         return None
@@ -725,9 +724,7 @@ def _check_truth(truth: Truth, pictures: int, height: int, width: int) -> None:
             raise InputError(f"truth: expected {name} of shape {shape}, found {np.shape(array)}")
 
 
-def _warn_of_normals(
-    normals: NDArray[np.float64], fov: float | None, valid: NDArray[np.bool_]
-) -> None:
+def _warn_of_normals(normals: Array, fov: float | None, valid: Mask) -> None:
     """Warn of normals (M, 3) that face away, or are all the same: mostly nobody knew any then."""
     if fov is not None:
         views = geometry.view_directions(valid.shape[0], valid.shape[1], fov)[valid]

@@ -19,14 +19,12 @@ from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.array_types import Array, Floats, Mask
 from pbrfit.io.limits import Limits
 from pbrfit.io.resampling import averaged, reduced_size
 from pbrfit.model import geometry
-
-Array = NDArray[np.float64]
 
 BallKind = Literal["mirror", "matt"]
 
@@ -106,7 +104,7 @@ class BallLights:
     it faces the lamp, NaN where that is not seen."""
 
 
-def find_ball(images: NDArray[np.floating[Any]]) -> Ball:
+def find_ball(images: Floats) -> Ball:
     """Find the circle of a ball in pictures (N, H, W, 3).
 
     Edges that lie in the same place in all pictures vote for the centres of circles; the best
@@ -182,7 +180,7 @@ def sphere_normals(
 
 
 def lights_of_balls(
-    images: NDArray[np.floating[Any]],
+    images: Floats,
     limits: Limits | None,
     names: Sequence[str],
     balls: Sequence[Ball],
@@ -271,7 +269,7 @@ def _candidates(strength: Array, angle: Array) -> list[Ball]:
     return [ball for _, ball in found[:CANDIDATES]]
 
 
-def _ridges(strength: Array, angle: Array) -> tuple[NDArray[np.bool_], float]:
+def _ridges(strength: Array, angle: Array) -> tuple[Mask, float]:
     """Where edges are strongest across themselves, and how strong they usually are there."""
     from scipy.ndimage import map_coordinates
 
@@ -355,9 +353,9 @@ class _Piece:
     fov: float
     left: int
     top: int
-    images: NDArray[np.floating[Any]]
+    images: Floats
     """(N, h, w, 3)."""
-    free: NDArray[np.bool_]
+    free: Mask
     """(N, h, w): samples that are no bounds."""
     normals: Array
     """(h, w, 3), NaN outside the ball."""
@@ -365,9 +363,7 @@ class _Piece:
     """(h, w): to the viewer, NaN outside the ball."""
 
     @classmethod
-    def of(
-        cls, images: NDArray[np.floating[Any]], limits: Limits | None, ball: Ball, fov: float
-    ) -> _Piece:
+    def of(cls, images: Floats, limits: Limits | None, ball: Ball, fov: float) -> _Piece:
         height, width = images.shape[1:3]
         left, right = max(0, int(ball.x - ball.radius)), int(ball.x + ball.radius) + 2
         top, bottom = max(0, int(ball.y - ball.radius)), int(ball.y + ball.radius) + 2
@@ -375,14 +371,14 @@ class _Piece:
         part = np.nan_to_num(images[window], posinf=0.0, neginf=0.0)
         rows, columns = np.indices(part.shape[1:3])
         normals, views = sphere_normals(ball, (height, width), fov, columns + left, rows + top)
-        free: NDArray[np.bool_] = np.ones(part.shape[:3], bool)
+        free: Mask = np.ones(part.shape[:3], bool)
         if limits is not None:
             free &= ~limits[window].any(axis=-1)
         cosine = np.einsum("hwx,hwx->hw", normals, views)
         return cls(ball, (height, width), fov, left, top, part, free, normals, cosine)
 
     @property
-    def inside(self) -> NDArray[np.bool_]:
+    def inside(self) -> Mask:
         """(h, w): of the ball."""
         return np.isfinite(self.cosine)
 

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.io.checks import any_array
+from pbrfit.array_types import Array, Floats
+from pbrfit.checks import any_array
 from pbrfit.io.input_files import there
 from pbrfit.io.lamp_files import LAMP_FILES, find_lamps, write_lamps
 from pbrfit.io.normal_files import NORMAL_FILES, find_normals, write_normals
@@ -48,11 +49,11 @@ def check_normals_can_be_added(folder: Path, *, overwrite: bool, height: bool = 
 
 def add_normals(
     folder: Path,
-    normals: NDArray[np.floating[Any]],
+    normals: Floats,
     *,
-    uncertainty: NDArray[np.floating[Any]] | None = None,
-    weights: NDArray[np.floating[Any]] | None = None,
-    height: NDArray[np.floating[Any]] | None = None,
+    uncertainty: Floats | None = None,
+    weights: Floats | None = None,
+    height: Floats | None = None,
     overwrite: bool = False,
 ) -> list[Path]:
     """Write `normals.exr`, and `weights.exr` and `height.exr` if there are any; returns the paths.
@@ -83,7 +84,7 @@ def add_normals(
     return [*written, weight_path]
 
 
-def _to_convention(folder: Path, normals: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+def _to_convention(folder: Path, normals: Floats) -> Array:
     """Normals (..., 3) of camera space as the folder's `scene.toml` says they are written."""
     settings = scene_folder.read_settings(folder / "scene.toml")
     try:

@@ -12,12 +12,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from pbrfit.array_types import Array, Floats
 
 DARKEST = math.log(1 / 50)
 KNEES = math.log(1 / 3), math.log(3)
@@ -49,7 +47,7 @@ class Correction:
         sides = (np.clip(np.add(middle, sides), *limits) - middle).tolist()
         return replace(self, numbers=(middle, *sides))
 
-    def applied(self, samples: NDArray[np.floating[Any]]) -> Array:
+    def applied(self, samples: Floats) -> Array:
         """Radiance of samples (...)."""
         knots = np.array([DARKEST, *KNEES, BRIGHTEST])
         shown = knots - self._bent(knots)

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.io.checks import any_array
+from pbrfit.array_types import Array, Floats
+from pbrfit.checks import any_array
 from pbrfit.io.resampling import at_centres, averaged
 from pbrfit.model.depth_normals import DEPTH_MAX, from_depth
 from pbrfit.model.geometry import angles_between
@@ -50,7 +51,7 @@ the surface under its centre; others lie beyond a jump."""
 
 
 def checked_depth(
-    given: Any, normals: NDArray[np.floating[Any]], fov: float, *, normals_known: bool = True
+    given: Any, normals: Floats, fov: float, *, normals_known: bool = True
 ) -> tuple[Depth | None, list[str]]:
     """Depth as a scene keeps it, and what there is to say about it.
 
@@ -118,7 +119,7 @@ def in_words(depth: Depth) -> str:
     return f"{said}; {unknown:.2g} % of the pixels unknown" if unknown else said
 
 
-def compared(depth: Depth, normals: NDArray[np.floating[Any]], fov: float) -> tuple[float, float]:
+def compared(depth: Depth, normals: Floats, fov: float) -> tuple[float, float]:
     """Median angles in degrees between given normals (H, W, 3) and those of a depth map (H, W).
 
     Taken as it is, and as inverse depth; NaN = not comparable, or not looked at, as the first is up
@@ -129,7 +130,7 @@ def compared(depth: Depth, normals: NDArray[np.floating[Any]], fov: float) -> tu
     # A camera without perspective sees a width of 2 units (`geometry.positions`).
     width = 2.0 if fov == 0 else None
 
-    def angle_in_any_unit(values: NDArray[np.float64]) -> float:
+    def angle_in_any_unit(values: Array) -> float:
         if width is not None:  # only here its unit matters, and nobody told it
             found, known = from_depth(values, fov=fov, view_width=width)
             known &= np.isfinite(wanted[..., 0])
@@ -146,10 +147,7 @@ def compared(depth: Depth, normals: NDArray[np.floating[Any]], fov: float) -> tu
 
 
 def median_angle(
-    depth: NDArray[np.float64],
-    normals: NDArray[np.floating[Any]],
-    fov: float,
-    view_width: float | None = None,
+    depth: Array, normals: Floats, fov: float, view_width: float | None = None
 ) -> float:
     """In degrees between normals of depth (H, W) and given ones (H, W, 3); NaN = none are known."""
     found, known = from_depth(depth, fov=fov, view_width=view_width)
@@ -164,13 +162,13 @@ def every_few(shape: tuple[int, ...], at_most: int) -> tuple[slice, slice]:
     return slice(step // 2, None, step), slice(step // 2, None, step)
 
 
-def _slope(normals: NDArray[np.floating[Any]]) -> float:
+def _slope(normals: Floats) -> float:
     """Median tangent of the angle that normals (..., 3) make with the camera's axis."""
     x, y, z = np.moveaxis(normals, -1, 0)
     return float(np.nanmedian(np.hypot(x, y) / np.maximum(z, 1e-6)))
 
 
-def reduced(depth: NDArray[np.floating[Any]], size: tuple[int, int]) -> Depth:
+def reduced(depth: Floats, size: tuple[int, int]) -> Depth:
     """Depth (H, W) averaged down to (height, width), nowhere across a jump.
 
     Inverse depth is linear on a plane, so its mean over the area of a new pixel is that at the

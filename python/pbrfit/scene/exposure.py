@@ -11,8 +11,8 @@ gets nowhere.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit.array_types import Array
 from pbrfit.scene.scene import Scene
 
 EXPOSURE_RANGE = 4.0
@@ -22,7 +22,7 @@ LEAST_EXPOSURE = 1 / 16
 """Darker pictures count as this: what they show may be noise, and may be nothing."""
 
 
-def mean_radiance(scene: Scene) -> NDArray[np.float64]:
+def mean_radiance(scene: Scene) -> Array:
     """Of each picture, (N,): the weighted mean over its valid samples and channels."""
     means = np.empty(len(scene.images))
     for i in range(len(means)):
@@ -34,7 +34,7 @@ def mean_radiance(scene: Scene) -> NDArray[np.float64]:
     return means
 
 
-def relative_exposures(scene: Scene, equal: bool | None = None) -> NDArray[np.float64] | None:
+def relative_exposures(scene: Scene, equal: bool | None = None) -> Array | None:
     """What each picture is to be divided by, (N,), 1 on average; None where it stays as it is.
 
     `equal` decides; where it is None, they are divided if the brightest picture has more than
@@ -51,7 +51,7 @@ def relative_exposures(scene: Scene, equal: bool | None = None) -> NDArray[np.fl
     return np.asarray(np.maximum(means / mean, LEAST_EXPOSURE))
 
 
-def in_words(exposures: NDArray[np.float64]) -> str:
+def in_words(exposures: Array) -> str:
     """What was done about exposures, for `Result.assumed`."""
     return (
         f"from {exposures.min():.2g} to {exposures.max():.2g} times the mean: each picture counts "

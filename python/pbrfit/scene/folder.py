@@ -246,8 +246,7 @@ def _without_maps(paths: list[Path]) -> list[Path]:
 def loose_pictures(folder: Path) -> list[Path]:
     """Files of a folder that look like photographs of a scene, in name order.
 
-    Parts of a scene and maps are none, nor is anything in a result. Formats that are not read
-    count.
+    Parts of a scene, maps and what is in a result are none. Formats that are not read count.
     """
     if any((folder / name).exists() for name in OUTPUTS):
         return []
@@ -346,9 +345,8 @@ def warn_of_near_misses(files: SceneFiles) -> None:
         known = path.name in _EVERY_PART or path.suffix.lower() in (".lp", ".relight")
         named = re.sub(r"[\W_]*\d*\W*$", "", name).rstrip("s") in stems or "lp" in suffixes[:-1]
         if name and not known and ((named and path.is_file()) or _MAP.fullmatch(path.stem)):
-            of_lamps = name == RELATIVE
             expected = f"expected {', '.join(_EVERY_PART)}"
-            log.warning("%s: not read; %s", path, STRENGTHS if of_lamps else expected)
+            log.warning("%s: not read; %s", path, STRENGTHS if name == RELATIVE else expected)
 
 
 def read_settings(path: Path) -> Settings:

@@ -40,12 +40,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError, poisson_heights
-from pbrfit.io.checks import any_array
+from pbrfit.array_types import Array, Floats, Mask
+from pbrfit.checks import any_array
 from pbrfit.model import geometry
 from pbrfit.scene.depth import without_holes
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 DEPTH_WEIGHT = 4.0
 """λ of depth that is off by half as much, relatively, as normals are in radians: 5 %, 6 degrees."""
@@ -77,11 +75,11 @@ EXACT = 1e-7
 
 
 def depth_from_normals(
-    normals: NDArray[np.floating[Any]],
+    normals: Floats,
     fov: float,
-    mask: NDArray[np.bool_] | None = None,
+    mask: Mask | None = None,
     segments: NDArray[np.integer[Any]] | None = None,
-    depth: NDArray[np.floating[Any]] | None = None,
+    depth: Floats | None = None,
     *,
     threads: int = 0,
 ) -> NDArray[np.float32]:

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit.array_types import Array
 from pbrfit.io.lamp_files import matched, read_lamps
 from pbrfit.model.lamps import Lamps, lamps_of_rows
 
@@ -32,7 +32,7 @@ def in_words(lamps: Lamps) -> str:
     return f"{lamps.in_words()}, colours {colors}"
 
 
-def angles(directions: NDArray[np.float64]) -> NDArray[np.float64]:
+def angles(directions: Array) -> Array:
     """Azimuth and elevation (K, 2) in degrees of unit vectors (K, 3).
 
     Azimuth 0 is +Z, where the viewer is, and 90 is +X; elevation is towards +Y.
@@ -42,7 +42,7 @@ def angles(directions: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.degrees(turned))
 
 
-def spread(directions: NDArray[np.float64]) -> float:
+def spread(directions: Array) -> float:
     """Largest angle in degrees between two of some unit vectors (K, 3)."""
     least = float(np.clip((directions @ directions.T).min(initial=1.0), -1.0, 1.0))
     return float(np.degrees(np.arccos(least)))

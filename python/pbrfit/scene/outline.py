@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from pbrfit.array_types import Array, Mask
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,11 +19,10 @@ Zeros are black, not clipped: nothing is sought at the minimum.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit.array_types import Floats, Mask
 from pbrfit.io.limits import AT_LEAST, Limits
 
 CHANCE = 1e-6
@@ -37,9 +36,7 @@ _COUNT_MIN = 10
 """Fewest samples at a maximum that can be a plateau: 9 beside K values have a chance of 3e-6."""
 
 
-def plateaus(
-    images: NDArray[np.floating[Any]], counted: list[NDArray[np.bool_]] | None, searched: list[bool]
-) -> Limits | None:
+def plateaus(images: Floats, counted: list[Mask] | None, searched: list[bool]) -> Limits | None:
     """Limits (N, H, W, 3) of pictures that were clipped from above; None where none was.
 
     Only the values that are `counted`, (H, W, 3) bool a picture or None = all, and finite tell, and
@@ -49,7 +46,7 @@ def plateaus(
     if not which:
         return None
 
-    def samples(i: int, c: int) -> NDArray[np.floating[Any]]:
+    def samples(i: int, c: int) -> Floats:
         plane = images[i, ..., c]
         return np.asarray(plane.ravel() if counted is None else plane[counted[i][..., c]])
 
@@ -73,7 +70,7 @@ def plateaus(
     return found
 
 
-def _is_cut(planes: list[NDArray[np.floating[Any]]], top: float, *, shared: bool) -> bool:
+def _is_cut(planes: list[Floats], top: float, *, shared: bool) -> bool:
     """Whether the tail of these samples was cut off at their maximum."""
     count = sum(int(np.count_nonzero(plane == top)) for plane in planes)
     if count < _COUNT_MIN or not np.isfinite(top):

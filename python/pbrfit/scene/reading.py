@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.address_space import left
+from pbrfit.array_types import Array, Codes, Mask
 from pbrfit.io import images
 from pbrfit.io.color import Place
 from pbrfit.io.depth_files import METRES, find_depth, read_depth
@@ -278,9 +279,9 @@ class Surface:
     """(height, width)."""
     fov: float
     """Horizontal field of view in degrees."""
-    normals: NDArray[np.float64] | None
+    normals: Array | None
     """(H, W, 3) unit vectors in camera space, NaN outside the mask; None = no file has them."""
-    mask: NDArray[np.bool_]
+    mask: Mask
     segments: NDArray[np.uint16] | None
 
 
@@ -308,7 +309,7 @@ def read_pictures(
     """
     notes = _Notes.of(scene, options, crop=None, max_size=None)
     read = _read_pictures(notes)
-    everywhere: NDArray[np.bool_] = np.ones(notes.size, bool)
+    everywhere: Mask = np.ones(notes.size, bool)
     _tell_bad(read, everywhere, notes)
     dark = _read_dark(notes)
     _calibrate(notes, read, everywhere if dark is None else dark.usable, dark)
@@ -322,7 +323,7 @@ class Pictures:
     def __init__(self, notes: _Notes) -> None:
         self._notes, self._window = notes, notes.how.window(notes.size)
         self.names = notes.files.names
-        self.mask: NDArray[np.bool_] = np.ones(notes.size, bool)[self._window].copy()
+        self.mask: Mask = np.ones(notes.size, bool)[self._window].copy()
         """What alpha leaves of what is used, at the files' size."""
         used, longest = self.mask.shape, notes.how.max_size
         self.size = used if longest is None else reduced_size(used, longest)
@@ -339,7 +340,7 @@ class Pictures:
         """Whether a float file has limits."""
         self.noise: list[FileNoise | None] = [None] * len(self.pixels)
         """What its file did to each picture."""
-        self.bad: list[NDArray[np.bool_] | None] = [None] * len(self.pixels)
+        self.bad: list[Mask | None] = [None] * len(self.pixels)
         """(H, W, 3) of each picture: samples that were NaN or infinite, and are 0; None = none."""
         self.focal_length: float | None = None
         """Of the first picture that has one, 35 mm equivalent, millimetres."""
@@ -463,7 +464,7 @@ def _read_pictures(notes: _Notes, look: int | None = None) -> Pictures:
     return read
 
 
-def _tell_bad(read: Pictures, mask: NDArray[np.bool_], notes: _Notes) -> None:
+def _tell_bad(read: Pictures, mask: Mask, notes: _Notes) -> None:
     """Say how many pixels are NaN or infinite; InputError if half of a picture is."""
     paths, pixels = notes.files.pictures, np.count_nonzero(mask)
     counts = [0 if bad is None else np.count_nonzero(mask & bad.any(axis=-1)) for bad in read.bad]
@@ -517,9 +518,7 @@ def _compare_settings(shared: dict[str, dict[str, list[str]]], notes: _Notes) ->
         )
 
 
-def _limits(
-    read: Pictures, mask: NDArray[np.bool_], notes: _Notes, *, for_good: bool
-) -> NDArray[np.uint8] | None:
+def _limits(read: Pictures, mask: Mask, notes: _Notes, *, for_good: bool) -> Codes | None:
     """(N, H, W, 3): limits of the files and of plateaus; None = a Scene has to seek them.
 
     With `for_good` they are sought here in any case, as the pictures are still to be changed.
@@ -560,7 +559,7 @@ class _Frame:
     path: Path
     pixels: NDArray[np.float32]
     """(H, W, 3) at the files' size, linear Rec.709; 0 where it is not usable."""
-    usable: NDArray[np.bool_]
+    usable: Mask
     """(H, W): where it is not overexposed, and finite."""
 
 
@@ -573,7 +572,7 @@ def _read_frame(notes: _Notes, path: Path) -> _Frame:
     picture = notes.how.picture(path)
     window = notes.window(path, picture.pixels.shape[:2])
     pixels = picture.pixels[window]
-    usable: NDArray[np.bool_] = np.asarray(np.isfinite(pixels).all(axis=-1))
+    usable: Mask = np.asarray(np.isfinite(pixels).all(axis=-1))
     if picture.limits is not None:
         usable &= (picture.limits[window] != AT_LEAST).all(axis=-1)
     if not usable.any():
@@ -581,9 +580,7 @@ def _read_frame(notes: _Notes, path: Path) -> _Frame:
     return _Frame(path, np.where(usable[..., None], pixels, 0.0), usable)
 
 
-def _calibrate(
-    notes: _Notes, read: Pictures, mask: NDArray[np.bool_], dark: _Frame | None
-) -> Weights | None:
+def _calibrate(notes: _Notes, read: Pictures, mask: Mask, dark: _Frame | None) -> Weights | None:
     """Subtract a dark frame from all pictures, and divide them by flat-field frames, in place.
 
     A frame is used over its mean, g. Of a radiance L the camera shows g L, and photons give that a
@@ -622,9 +619,7 @@ def _calibrate(
     return np.stack(gains)
 
 
-def _gain(
-    notes: _Notes, path: Path, mask: NDArray[np.bool_], dark: _Frame | None
-) -> NDArray[np.float32]:
+def _gain(notes: _Notes, path: Path, mask: Mask, dark: _Frame | None) -> NDArray[np.float32]:
     """(H, W, 3) of a flat-field frame over its mean in each channel, 0 where it tells nothing."""
     frame = _read_frame(notes, path)
     usable, level = frame.usable, frame.pixels
@@ -641,9 +636,7 @@ def _gain(
     return np.asarray(found, np.float32)
 
 
-def _subtract(
-    dark: _Frame, pixels: NDArray[np.float32], mask: NDArray[np.bool_], notes: _Notes
-) -> None:
+def _subtract(dark: _Frame, pixels: NDArray[np.float32], mask: Mask, notes: _Notes) -> None:
     """Subtract a dark frame from pictures (N, H, W, 3), in place; noise may leave negative values.
 
     Raises InputError if a picture is no brighter than it.
@@ -670,7 +663,7 @@ def _subtract(
     )
 
 
-def _read_weights(notes: _Notes, mask: NDArray[np.bool_]) -> Weights | None:
+def _read_weights(notes: _Notes, mask: Mask) -> Weights | None:
     """`weights.exr` (1 or N, H, W, 1 or 3) at the working size, that of `mask`; 0 outside it."""
     path = notes.part(WEIGHT_FILE)
     if path is None:
@@ -694,7 +687,7 @@ def _read_weights(notes: _Notes, mask: NDArray[np.bool_]) -> Weights | None:
     return found if found.ndim == 4 else found[None]
 
 
-def _read_mask(notes: _Notes) -> NDArray[np.bool_]:
+def _read_mask(notes: _Notes) -> Mask:
     path = notes.part("mask.png")
     if path is None:
         return np.ones(notes.size, dtype=bool)[notes.how.window(notes.size)]
@@ -706,7 +699,7 @@ def _read_mask(notes: _Notes) -> NDArray[np.bool_]:
         colors = drawn[..., -1:]
         notes.assumed["mask"] = f"{path.name}: its alpha, as it is not drawn in black and white"
     white = colors.max()
-    mask: NDArray[np.bool_] = colors.mean(axis=-1) >= 0.5
+    mask: Mask = colors.mean(axis=-1) >= 0.5
     not_black = colors.max(axis=-1) > 0
     if not mask.any() and white > 0 and not np.ptp(colors[not_black], axis=0).any():
         mask = not_black
@@ -756,11 +749,8 @@ def _read_estimates(notes: _Notes) -> Materials | None:
 
 
 def _averaged(
-    normals: NDArray[np.float64] | None,
-    mask: NDArray[np.bool_],
-    segments: NDArray[np.uint16] | None,
-    size: tuple[int, int],
-) -> tuple[NDArray[np.float64] | None, NDArray[np.bool_], NDArray[np.uint16] | None]:
+    normals: Array | None, mask: Mask, segments: NDArray[np.uint16] | None, size: tuple[int, int]
+) -> tuple[Array | None, Mask, NDArray[np.uint16] | None]:
     """Reduce maps to a smaller size.
 
     A pixel is used when all pixels that it averages are, so that nothing from outside the mask
@@ -777,9 +767,7 @@ def _averaged(
     return small_normals, small_mask, segments
 
 
-def _read_normals(
-    notes: _Notes, mask: NDArray[np.bool_]
-) -> tuple[NDArray[np.float64], NDArray[np.float32] | None]:
+def _read_normals(notes: _Notes, mask: Mask) -> tuple[Array, NDArray[np.float32] | None]:
     """Unit normals in camera space, and their standard deviation in degrees, where it is given.
 
     Pixels that have none are taken out of the mask, in place.
@@ -798,7 +786,7 @@ def _read_normals(
         raise InputError(f"{folder}: expected normals.exr or normals.png, found both")
     [path] = found
     window = notes.how.window(notes.size)
-    whole: NDArray[np.bool_] = np.zeros(notes.size, bool)
+    whole: Mask = np.zeros(notes.size, bool)
     whole[window] = mask
     read = read_normals(path, whole)
     _expect_size(path, read.vectors.shape[:2], notes.size)

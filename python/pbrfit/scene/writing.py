@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.array_types import Codes, Floats
 from pbrfit.io import images
 from pbrfit.io.lamp_files import LAMP_FILES, write_lamps
 from pbrfit.io.normal_files import write_normals
@@ -60,7 +61,7 @@ def save(scene: SceneArrays, path: Path, *, overwrite: bool = False) -> None:
             _write_truth(scene.truth, scene, folder / "truth")
 
 
-def write_height(path: Path, height: NDArray[np.floating[Any]]) -> None:
+def write_height(path: Path, height: Floats) -> None:
     """Write a height (H, W), NaN where unknown; there the file has what the nearest pixel has."""
     known = np.isfinite(height)
     filled = np.where(known, height, 0.0)[nearest_inside(known)]
@@ -82,9 +83,7 @@ def _write_truth(truth: Truth, scene: SceneArrays, folder: Path) -> None:
     Lighting(names, truth.relight_lighting).save(folder / "relight" / "lighting.json")
 
 
-def _write_picture(
-    path: Path, image: NDArray[Any], limits: NDArray[np.uint8] | None = None
-) -> None:
+def _write_picture(path: Path, image: NDArray[Any], limits: Codes | None = None) -> None:
     finite = np.where(np.isfinite(image), image, 0.0).astype(np.float32)
     channels: dict[str, NDArray[Any]] = {name: finite[..., c] for c, name in enumerate("RGB")}
     if limits is not None:

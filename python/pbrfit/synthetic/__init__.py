@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pbrfit._core import InputError
-from pbrfit.io.arrays import Array
+from pbrfit.array_types import Array
 from pbrfit.model.reflection import DEFAULT_MODEL, Model, checked_model, render
 from pbrfit.scene.arrays import Truth
 from pbrfit.scene.scene import Scene

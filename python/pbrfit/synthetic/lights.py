@@ -17,7 +17,7 @@ import numpy as np
 from numpy.polynomial.legendre import poly2leg
 
 from pbrfit._core import InputError
-from pbrfit.io.arrays import Array
+from pbrfit.array_types import Array
 from pbrfit.model.reflection import sh_basis
 
 # Powers of u, lowest first, by order; every lobe is 1 at u = 1.

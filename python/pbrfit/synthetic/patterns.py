@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pbrfit.io.arrays import Array
+from pbrfit.array_types import Array
 
 Pattern = Callable[[Array], Array]
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pbrfit.io.arrays import Array
+from pbrfit.array_types import Array
 from pbrfit.model.geometry import view_directions
 from pbrfit.synthetic.geometry import Box, Cylinder, Plane, Primitive, Sphere, rotation, trace
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pbrfit.io.arrays import Array, Mask
+from pbrfit.array_types import Array, Mask
 from pbrfit.synthetic.patterns import (
     Pattern,
     checker,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.io.arrays import Array
+from pbrfit.array_types import Array
 from pbrfit.model.geometry import view_directions
 from pbrfit.model.materials import Materials
 from pbrfit.synthetic.geometry import Primitive, trace

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from command_runs import done, refused
 from pbrfit._core import InputError
 from pbrfit.acquire.marigold import mean_and_spread
 from pbrfit.acquire.normals import Normals, estimate
 from pbrfit.acquire.photo import shown_to_network
+from pbrfit.array_types import Array, Floats
 from pbrfit.display.tone import encoded
 from pbrfit.io import images
 from pbrfit.io.normal_files import UNCERTAINTY, Convention, read_normals
@@ -24,8 +24,6 @@ from pbrfit.model.geometry import angles_between, facing_away, view_directions
 from pbrfit.result.metrics import white_of
 from pbrfit.scene.scene import Scene
 from scene_files import LIGHTS, SIZE, known, room, world, write_folder
-
-Array = NDArray[np.float64]
 
 SIZES = [(97, 131), (131, 97), (64, 64)]
 
@@ -173,7 +171,7 @@ def test_depth_files_that_cannot_be_used(tmp_path: Path) -> None:
             estimate(f"depth:{tmp_path / name}", shown, fov=60.0)
 
 
-def write_map(path: Path, normals: Array) -> Path:
+def write_map(path: Path, normals: Floats) -> Path:
     images.write_exr(path, {name: normals[..., i] for i, name in enumerate("XYZ")})
     return path
 

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.acquire.review import illumination, structure
-from pbrfit.io.arrays import Array, Mask
+from pbrfit.array_types import Array, Mask
 from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.registration import alignment
 from pbrfit.threads import one_blas_thread

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.arrays import Array, Mask
+from pbrfit.array_types import Array, Mask
 from pbrfit.io.resampling import averaged
 from pbrfit.registration.alignment import gradient
 

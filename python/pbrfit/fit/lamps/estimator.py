@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.array_types import Array, Mask
 from pbrfit.fit.independent_lights import Shown
 from pbrfit.fit.lamps import scale as scale_of_lamps
 from pbrfit.fit.lamps import surfaces
@@ -71,7 +72,6 @@ from pbrfit.transport.scenery import Scenery
 
 log = logging.getLogger("pbrfit")
 
-Array = NDArray[np.float64]
 
 ROUNDS, STEPS = 8, 3
 """Reweighting rounds; Levenberg-Marquardt steps in each."""
@@ -586,7 +586,7 @@ class LampFit:
         return bands, known
 
     def _surfaces(
-        self, fit: JointLamps, mask: NDArray[np.bool_], known: Reference | None = None
+        self, fit: JointLamps, mask: Mask, known: Reference | None = None
     ) -> list[surfaces.Band]:
         """Pixels of a mask under the lights of a fit, band by band."""
         scene, few = self.scene, fit.pixels

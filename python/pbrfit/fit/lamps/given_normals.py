@@ -17,16 +17,14 @@ import warnings
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit.array_types import Array, Mask
 from pbrfit.fit.lamps.joint import ALBEDO_MEAN
 from pbrfit.fit.lamps.photometric import DARK
 from pbrfit.fit.lamps.problem import LampPixels
 from pbrfit.fit.lamps.samples import grey_samples
 from pbrfit.fit.sampling import evenly_spaced
 from pbrfit.model.lamps import Lamps
-
-Array = NDArray[np.float64]
 
 OUTSIDE = 0.3
 """How far beyond what is seen lamps are sought, of its size; behind the camera as far as the median
@@ -118,9 +116,7 @@ def near_lamps(pixels: LampPixels) -> tuple[Lamps, Array]:
     return colored_by(pixels, lamps, shading, (shading > 0).astype(np.float64))
 
 
-def _refined(
-    few: LampPixels, grey: Array, usable: NDArray[np.bool_], places: Array, first: float
-) -> Array:
+def _refined(few: LampPixels, grey: Array, usable: Mask, places: Array, first: float) -> Array:
     """Places by Gauss and Newton on logarithms.
 
     With a = ln ρ of each pixel and b = ln c of each lamp the residual ln I − a − b − ln s is linear
@@ -177,9 +173,7 @@ def _shading(pixels: LampPixels, places: Array) -> Array:
     return np.asarray(np.maximum(cosine, 0) / (squared * np.sqrt(squared)))
 
 
-def _judged(
-    grey: Array, albedo: Array, shading: Array, usable: NDArray[np.bool_]
-) -> tuple[Array, Array]:
+def _judged(grey: Array, albedo: Array, shading: Array, usable: Mask) -> tuple[Array, Array]:
     """(G,) each: what lamps leave of a picture, and their colours."""
     shown, lit = np.log(albedo * shading + TINY), shading > TINY
     there = usable & (grey > DARK * grey[usable].mean())

@@ -30,6 +30,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.array_types import Array
 from pbrfit.fit.lamps.problem import LampPixels, LampState, by_place, surface_of, tangents
 from pbrfit.fit.lamps.sample_noise import NOISE_MIN, Noise
 from pbrfit.fit.lamps.samples import BAS_RELIEF
@@ -39,7 +40,6 @@ from pbrfit.model.lamps import Lamps
 if TYPE_CHECKING:
     from pbrfit.fit.lamps.ambiguity import Relief
 
-Array = NDArray[np.float64]
 
 UNKNOWNS = 6
 """Number for each pixel in joint steps: two offsets of the normal, albedo, roughness. Metallic

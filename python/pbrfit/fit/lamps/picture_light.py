@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit import _core
+from pbrfit.array_types import Array
 from pbrfit.fit.lamps.problem import LampPixels, LampState, by_place, radiance, surface_of
 from pbrfit.fit.lamps.samples import MATT_PIXELS
 from pbrfit.fit.sampling import evenly_spaced
@@ -20,8 +20,6 @@ from pbrfit.fit.settings import MEAN_RADIANCE
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.lighting import spread_directions
 from pbrfit.model.reflection import Model
-
-Array = NDArray[np.float64]
 
 
 def light_of_picture(

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import _core
+from pbrfit.array_types import Array, Codes, Mask
 from pbrfit.fit.noise import satisfied
 from pbrfit.fit.sampling import slices
 from pbrfit.fit.settings import MEAN_RADIANCE, PIXELS_AT_ONCE
@@ -27,8 +28,6 @@ from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import Model
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import in_pieces
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +38,7 @@ class LampPixels:
     """(P, N, 3), in units of `scale`."""
     weights: Array
     """(P, N, 3): 0 = no data; else what the scene says."""
-    limits: NDArray[np.uint8]
+    limits: Codes
     """(P, N, 3), as `SceneArrays.limits`."""
     views: Array
     points: Array | None
@@ -128,7 +127,7 @@ class LampPixels:
         return replace(self, points=None if self.points is None else self.points[rows], **of_rows)
 
     @property
-    def told(self) -> NDArray[np.bool_]:
+    def told(self) -> Mask:
         """(P, N, 3): values that are data and at no limit."""
         return np.asarray((self.weights > 0) & (self.limits == 0))
 

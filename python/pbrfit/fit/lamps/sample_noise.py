@@ -27,10 +27,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.array_types import Array, Mask
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance, surface_of
 from pbrfit.fit.settings import MEAN_RADIANCE
-
-Array = NDArray[np.float64]
 
 NOISE_MIN = 1e-4
 """Least σ, in units where the mean radiance is 0.4: below what 8 bits or float16 can tell."""
@@ -153,7 +152,7 @@ def seen_error(pixels: LampPixels, state: LampState, *, relative: bool = False) 
     return np.asarray((pixels.weights * roots**2).sum(axis=2))
 
 
-def kept_and_judged(pictures: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def kept_and_judged(pictures: int) -> tuple[Mask, Mask]:
     """(N,) each: pictures that surfaces are fitted to, and the third that judges; all if few."""
     kept = np.ones(pictures, bool)
     if pictures < 4:  # three others are nine samples for five unknowns, if roughness is held

@@ -10,16 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.array_types import Array, Floats, Mask
 from pbrfit.fit.sampling import placed, slices
 from pbrfit.fit.settings import COMPARE_PATCHES, PIXELS_AT_ONCE
 from pbrfit.threads import in_pieces
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Pixels = slice | NDArray[np.intp]
 Pictures = NDArray[Any] | Sequence[NDArray[Any]]
 """(N, H, W, C)"""
-Colors = tuple[NDArray[np.floating[Any]], Mask]
+Colors = tuple[Floats, Mask]
 """(P, N, C) of some pixels, finite, and which of them are told: usable, such as not clipped."""
 
 MATT_PIXELS = 4000
@@ -132,7 +131,7 @@ def median_where(counted: Mask, samples: Array) -> Array:
     return np.where(count > 0, middle, 0.0)
 
 
-def grey_samples(colors: NDArray[np.floating[Any]], told: Mask) -> tuple[Array, Mask]:
+def grey_samples(colors: Floats, told: Mask) -> tuple[Array, Mask]:
     """Grey samples (P, N), and which are usable, of colours (P, N, C) of which some are told.
 
     A pixel is judged by the same channels in all pictures, those that are told most often. The red

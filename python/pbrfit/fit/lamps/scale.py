@@ -27,21 +27,19 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit.array_types import Array, Mask
 from pbrfit.fit import settings
 from pbrfit.fit.lamps.joint import ALBEDO_SPREAD, JointLamps
 from pbrfit.fit.lamps.samples import blocks_of
 from pbrfit.fit.lamps.surfaces import STEPS, Band
 from pbrfit.fit.scale import reference_in_words, reference_region
 
-Array = NDArray[np.float64]
-
 SURROUNDINGS = 8
 """Rows and columns on each side of a reference that are fitted with it: what judges shadows and
 metals by their neighbours sees some pixels."""
 
-Surfaces = Callable[[NDArray[np.bool_]], list[Band]]
+Surfaces = Callable[[Mask], list[Band]]
 """Fits the pixels of a mask (H, W) under the lights of a joint fit as it stands."""
 
 
@@ -91,7 +89,7 @@ class Reference:
 
 
 def refer(
-    fit: JointLamps, valid: NDArray[np.bool_], white: tuple[float, float, float], surfaces: Surfaces
+    fit: JointLamps, valid: Mask, white: tuple[float, float, float], surfaces: Surfaces
 ) -> tuple[list[Band], Reference]:
     """Surfaces of all pixels, with lights that give those at (column, row) the third as albedo.
 

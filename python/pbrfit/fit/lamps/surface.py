@@ -8,8 +8,8 @@ in each channel, here such that the geometric mean of the strengths is 1.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit.array_types import Array
 from pbrfit.fit.lamps.ambiguity import KNOWN_MIN, unit_and_length
 from pbrfit.fit.lamps.photometric import PseudoNormals
 from pbrfit.fit.lamps.samples import FirstShape, Pixels, Samples, some_of
@@ -17,8 +17,6 @@ from pbrfit.fit.sampling import slices
 from pbrfit.fit.settings import PIXELS_AT_ONCE
 from pbrfit.model.materials import nearest_inside
 from pbrfit.threads import in_pieces
-
-Array = NDArray[np.float64]
 
 
 def finished(

@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.array_types import Array, Mask
 from pbrfit.fit.lamps.joint import (
     UNKNOWNS,
     Freedom,
@@ -36,8 +37,6 @@ from pbrfit.fit.lamps.problem import LampPixels, LampState, by_pieces, radiance,
 from pbrfit.fit.lamps.sample_noise import Noise, kept_and_judged, probability, seen_error
 from pbrfit.fit.pixels import NEIGHBOURS
 from pbrfit.fit.sampling import beside
-
-Array = NDArray[np.float64]
 
 STEPS = 12
 """Of each pixel in a round."""
@@ -60,7 +59,7 @@ class Band:
     """Weighted sum of squared residuals, and sum of the scene's weights."""
 
 
-def bands(valid: NDArray[np.bool_], at_most: int = 40_000) -> Iterator[slice]:
+def bands(valid: Mask, at_most: int = 40_000) -> Iterator[slice]:
     """Ranges of the valid pixels that make up whole rows: some 100 MB with 12 pictures."""
     size, start = 0, 0
     for count in valid.sum(axis=1).tolist():

@@ -35,6 +35,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.array_types import Array
 from pbrfit.fit import settings
 from pbrfit.fit.levels import Level
 from pbrfit.fit.misfit import variance
@@ -44,8 +45,6 @@ from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.mixture import prior_at
 from pbrfit.fit.priors.posterior import PURE_NODES
 from pbrfit.fit.sampling import pairs_apart
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,8 +21,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit.array_types import Array
 from pbrfit.fit import settings
 from pbrfit.fit.coarse import Lights, rounds
 from pbrfit.fit.discrepancy import light_modes
@@ -45,8 +45,6 @@ from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.run import Run, State
 from pbrfit.fit.sampling import pixel_index
 from pbrfit.scene.scene import Scene
-
-Array = NDArray[np.float64]
 
 OUT_OF_TIME = "the time limit came first"
 

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.array_types import Array
 from pbrfit.fit.settings import OFFSET_PRECISION_SHARE
 from pbrfit.lazy import lazy
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,11 +38,10 @@ likelihood of a pixel, larger than the residuals' variance where these are no no
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pbrfit.array_types import Array, Floats
 from pbrfit.fit import settings
 from pbrfit.fit.joint import JointFit, SharedFit, minimize
 from pbrfit.fit.normal_equations import albedo_solved_for
@@ -50,8 +49,6 @@ from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.posterior import Distributions, Grid, Pooling, Posterior, Stop, labels_of
 from pbrfit.fit.sampling import evenly_spaced_over
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,7 +196,7 @@ def _with_spread(objective: Objective, x: Array, groups: Posterior, variance: fl
     return groups._replace(variance=found)
 
 
-def _put(objective: Objective, x: Array, values: NDArray[np.floating[Any]]) -> Array:
+def _put(objective: Objective, x: Array, values: Floats) -> Array:
     """Give pixels of x these roughness and metallic (P, 1 or 2) with their best albedo.
 
     Returned is the sum of squared residuals of each, (P,).

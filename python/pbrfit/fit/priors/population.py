@@ -9,10 +9,10 @@ taken by Laplace's rule of succession, (14 share + 1) / (14 + 3) for three kinds
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
+
+from pbrfit.array_types import Floats
 
 METAL_SHARE, MIXED_SHARE = 0.2, 0.08
 """Share of surfaces of bare metal, and between it and dielectric: rust, dust, edges in a pixel."""
@@ -25,9 +25,7 @@ LOG_ALBEDO_DEVIATION = 0.45
 0.8. Single sets have 0.7, and pictures hold several."""
 
 
-def population(
-    roughness: NDArray[np.floating[Any]], metallic: NDArray[np.floating[Any]]
-) -> NDArray[np.float32]:
+def population(roughness: Floats, metallic: Floats) -> NDArray[np.float32]:
     """Probabilities of nodes (K,) of a grid with these values; their sum is 1."""
     inside = np.clip(roughness, 0.02, 0.98)
     density = inside * (1 - inside)  # of mean 0.5 and deviation 0.22, 3 % of it below 0.1

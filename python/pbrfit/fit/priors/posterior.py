@@ -21,11 +21,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.array_types import Array, Floats
 from pbrfit.fit import settings
 from pbrfit.fit.estimates import evidence
 from pbrfit.fit.objective import Objective
@@ -35,7 +36,6 @@ from pbrfit.fit.sampling import slices
 from pbrfit.lazy import lazy
 from pbrfit.threads import in_pieces
 
-Array = NDArray[np.float64]
 Pixels = NDArray[np.uint64]
 Labels = NDArray[np.intp]
 Stop = Callable[[], bool]
@@ -328,9 +328,7 @@ def with_evidence(
     return np.asarray(np.maximum(found / found.sum(), settings.NODE_PROBABILITY_MIN), np.float32)
 
 
-def _interval(
-    probabilities: NDArray[np.float32], values: NDArray[np.floating[Any]], width: float
-) -> NDArray[np.float64]:
+def _interval(probabilities: NDArray[np.float32], values: Floats, width: float) -> Array:
     """(2, Q): quantiles of nodes (Q, K), each as wide as this around its value."""
     total = probabilities.cumsum(axis=1, dtype=np.float64)
     total /= total[:, -1:]

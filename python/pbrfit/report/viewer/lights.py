@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pbrfit.io.arrays import Array
+from pbrfit.array_types import Array
 from pbrfit.model.reflection import render, render_directional
 from pbrfit.report.lights import LUMINANCE
 from pbrfit.report.viewer.maps import Maps, of_result

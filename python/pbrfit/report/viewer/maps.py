@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import lobe_table
-from pbrfit.io.arrays import Array, Mask
+from pbrfit.array_types import Array, Mask
 from pbrfit.model.geometry import view_directions
 from pbrfit.model.materials import Materials
 from pbrfit.report.html import in_base64

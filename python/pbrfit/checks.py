@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.array_types import Array
 from pbrfit.io.quoting import quoted
 
 REAL = "buif"
@@ -40,7 +41,7 @@ def reals(name: str, values: Any, shape: Shape = None) -> NDArray[Any]:
     return array
 
 
-def real_array(name: str, values: Any, shape: Shape = None) -> NDArray[np.float64]:
+def real_array(name: str, values: Any, shape: Shape = None) -> Array:
     """As a float64 array of real numbers."""
     with np.errstate(over="ignore"):  # of long doubles; they are infinite then
         return reals(name, values, shape).astype(np.float64, copy=False)

@@ -15,4 +15,4 @@ Floats = NDArray[np.floating[Any]]
 Mask = NDArray[np.bool_]
 
 Codes = NDArray[np.uint8]
-"""Of pictures as a screen or a network is given them, mostly sRGB."""
+"""Of pictures as a screen or a network is given them, mostly sRGB; or kinds of samples."""
