@@ -19,15 +19,15 @@ from numpy.typing import NDArray
 
 from pbrfit import DirectionalLight, Environment, InputError, Result, Scene, decompose, relight
 from pbrfit.acquire.depth import with_offset
-from pbrfit.checks import any_array
 from pbrfit.display.tone import encoded
 from pbrfit.export.displacement import Displacement
 from pbrfit.io.color import decode_srgb, encode_srgb
 from pbrfit.io.images import read_channels
 from pbrfit.io.normal_files import Convention
 from pbrfit.io.output import new_file
-from pbrfit.io.quoting import listed
 from pbrfit.model.materials import nearest_inside, write_materials
+from pbrfit.values.checks import any_array
+from pbrfit.values.quoting import listed
 
 Array = NDArray[np.floating[Any]]
 Inputs = dict[str, dict[str, Any]]

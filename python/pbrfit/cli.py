@@ -20,7 +20,7 @@ from pbrfit import address_space
 from pbrfit.commands import SUMMARIES, add_commands
 from pbrfit.commands.arguments import DONE, INTERRUPTED, UNUSABLE, complain, in_one_line
 from pbrfit.commands.messages import in_flags, unread
-from pbrfit.io.quoting import visible
+from pbrfit.values.quoting import visible
 
 PRINTED_AT_ONCE = ("-h", "--help", "--version")
 """What needs neither a command nor the core, whose start takes longer than all the rest."""

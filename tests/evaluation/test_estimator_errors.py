@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from evaluation_tasks import depth_off, normals_off
 from pbrfit.model.geometry import angles_between, view_directions
 from pbrfit.synthetic import make_scene
+from pbrfit.values.arrays import Array
 from pbrfit_evaluation.estimator_errors import (
     LOWEST_COSINE,
     ROUGH,
@@ -21,8 +21,6 @@ from scene_files import known
 
 SIZE, FOV = 64, 60.0
 ALL = np.ones((SIZE, SIZE), bool)
-
-Array = NDArray[np.float64]
 
 
 def plane(normal: tuple[float, float, float], distance: float = 3.0) -> tuple[Array, Array]:
@@ -42,7 +40,7 @@ def test_depth_is_off_as_networks_are() -> None:
     assert normals_off(rough, normals, FOV, ALL) > 30
 
 
-def errors_of(size: int, seed: int) -> NDArray[np.float64]:
+def errors_of(size: int, seed: int) -> Array:
     scene = make_scene("room", size=size, lights=2, held_out=1, seed=seed)
     rng = np.random.default_rng(seed)
     found = as_estimated(scene.normals, scene.views, known(scene.segments), rng)

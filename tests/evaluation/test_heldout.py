@@ -12,7 +12,6 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.io import loadmat, savemat
 
 from evaluation_tasks import recorded
@@ -24,6 +23,7 @@ from pbrfit.model.materials import Materials
 from pbrfit.scene.correction import Correction
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
+from pbrfit.values.arrays import Array
 from pbrfit_evaluation import recipes
 from pbrfit_evaluation.arrays import unit
 from pbrfit_evaluation.heldout import figures, measure, sources
@@ -35,8 +35,6 @@ from pbrfit_evaluation.heldout.light import (
 from pbrfit_evaluation.heldout.measure import Task, split
 from pbrfit_evaluation.heldout.sources import SETS, Source
 from scene_files import known, run, truth_of
-
-Array = NDArray[np.float64]
 
 SIZE, LAMPS = 20, 8
 

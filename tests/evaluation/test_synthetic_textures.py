@@ -7,18 +7,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from pbrfit.io import images
 from pbrfit.io.color import decode_srgb
 from pbrfit.synthetic import make_scene
 from pbrfit.synthetic.geometry import Plane, rotation
 from pbrfit.synthetic.surfaces import Spots
+from pbrfit.values.arrays import Array
 from pbrfit_evaluation.rooms import MaterialSet, load_textures
 from pbrfit_evaluation.rooms.detailed import LEAST_ROUGHNESS, Textured
 from scene_files import truth_of
-
-Array = NDArray[np.float64]
 
 
 def save(path: Path, values: Any) -> None:

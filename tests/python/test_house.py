@@ -19,6 +19,7 @@ EVALUATION = ROOT / "evaluation" / "pbrfit_evaluation"
 
 FLOORS = (
     ("lazy", "ending", "threads", "steps", "address_space", "errors"),
+    ("values",),
     ("io",),
     ("display",),
     ("model",),

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from pbrfit.synthetic.geometry import Sphere
 from pbrfit.synthetic.surfaces import Layers, Paint
 from pbrfit.synthetic.world import World
+from pbrfit.values.arrays import Array
 from pbrfit_evaluation.cycles.export import export
 from pbrfit_evaluation.cycles.job import Distribution, Job, Rendered, rendered
-
-Array = NDArray[np.float64]
 
 FOV = 60.0
 """Horizontal field of view in degrees."""

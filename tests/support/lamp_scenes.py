@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from pbrfit.io.color import decode_srgb, encode_srgb
 from pbrfit.model import geometry
-
-Array = NDArray[np.float64]
+from pbrfit.values.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

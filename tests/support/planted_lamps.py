@@ -18,9 +18,8 @@ from pbrfit.model import geometry
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import Model
 from pbrfit.result.options import FitOptions
+from pbrfit.values.arrays import Array
 from reference import unit
-
-Array = NDArray[np.float64]
 
 ROUGHNESS = 0.25, 0.5
 """Of the two segments."""

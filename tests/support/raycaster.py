@@ -18,9 +18,9 @@ import reference
 from pbrfit.synthetic import World
 from pbrfit.synthetic.geometry import Box, Cylinder, Plane, Primitive, Sphere
 from pbrfit.synthetic.surfaces import Layers, Paint, Spots
+from pbrfit.values.arrays import Array
 from pbrfit_evaluation.rooms.parts import Frustum
 
-Array = NDArray[np.float64]
 Field = Callable[[Array], Array]
 
 FAR = 30.0

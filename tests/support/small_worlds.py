@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from pbrfit.model.geometry import positions, view_directions
 from pbrfit.synthetic.geometry import Box, Plane, Primitive, Sphere, rotation, trace
+from pbrfit.values.arrays import Array
 
-Array = NDArray[np.float64]
 TURN = rotation(1, 20.0) @ rotation(0, -12.0)
 """The camera's axes in the room: turned to the left, and down."""
 EYE = np.array([0.3, 1.6, 0.2])
@@ -30,7 +30,7 @@ class Seen:
     fov: float
 
     @property
-    def depth(self) -> NDArray[np.float64]:
+    def depth(self) -> Array:
         """(H, W); NaN where nothing is."""
         return -self.points[..., 2]
 

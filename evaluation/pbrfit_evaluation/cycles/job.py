@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.checks import one_of
 from pbrfit.io.output import new_folder
+from pbrfit.values.checks import one_of
 from pbrfit_evaluation.arrays import Array
 from pbrfit_evaluation.cycles.export import Stage
 from pbrfit_evaluation.cycles.process import (

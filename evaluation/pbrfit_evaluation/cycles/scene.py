@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.checks import one_of
 from pbrfit.model.geometry import view_directions
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
@@ -18,6 +17,7 @@ from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import MEAN_RADIANCE, gains
 from pbrfit.synthetic.lights import random_colors, random_lights
 from pbrfit.synthetic.world import World
+from pbrfit.values.checks import one_of
 from pbrfit_evaluation.arrays import Array, Floats, Mask
 from pbrfit_evaluation.cycles.export import Stage, export
 from pbrfit_evaluation.cycles.job import Job, Transport, rendered

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.array_types import Array
 from pbrfit.io.color import ICC_D50, colorants_to_rec709, encode_srgb
 from pbrfit.io.images import Picture
-from pbrfit.io.quoting import listed
+from pbrfit.values.arrays import Array
+from pbrfit.values.quoting import listed
 
 PATCHES = {
     "dark skin": (37.54, 14.37, 14.92),

@@ -14,7 +14,6 @@ from pbrfit._core import InputError
 from pbrfit.acquire import marigold, weights
 from pbrfit.acquire.normals import check_reducible
 from pbrfit.acquire.padding import resized
-from pbrfit.array_types import Array, Codes, Floats
 from pbrfit.io.depth_files import read_depth
 from pbrfit.model import geometry
 from pbrfit.model.depth_normals import DepthKind
@@ -29,6 +28,7 @@ from pbrfit.scene.depth import (
 )
 from pbrfit.scene.integration import depth_from_normals
 from pbrfit.scene.reading import Surface
+from pbrfit.values.arrays import Array, Codes, Floats
 
 MODEL, WHAT = "depth-anything/Depth-Anything-V2-Small-hf", "Depth Anything"
 NETWORKS = ("depth-anything", "marigold")

@@ -13,9 +13,9 @@ import numpy as np
 from pbrfit.acquire.journal import FOLDER, Journal
 from pbrfit.acquire.photo import Photo
 from pbrfit.acquire.rounds import Attempt, Picture
-from pbrfit.array_types import Codes, Floats
 from pbrfit.io.json_files import as_json
 from pbrfit.result.sheet import OUTSIDE, Panel, sheet
+from pbrfit.values.arrays import Codes, Floats
 
 FILE, SHEET = "review.json", "review.png"
 

@@ -19,12 +19,12 @@ from pbrfit._core import InputError
 from pbrfit.acquire.generators import Generated, Refused, Request
 from pbrfit.acquire.padding import read_srgb8
 from pbrfit.acquire.photo import Photo
-from pbrfit.array_types import Codes
 from pbrfit.io import images
 from pbrfit.io.input_files import PICTURE_BYTES, read_bytes
 from pbrfit.io.json_files import UNFIT, read_as, read_json, table, whole, words, write_json
 from pbrfit.io.output import new_file
-from pbrfit.io.quoting import listed, quoted
+from pbrfit.values.arrays import Codes
+from pbrfit.values.quoting import listed, quoted
 
 FOLDER = "generation"
 """Its name in a scene folder."""

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.acquire.marigold import ENSEMBLE, MATERIALS_MODEL, MarigoldIID
 from pbrfit.acquire.normals import check_reducible
-from pbrfit.array_types import Codes
 from pbrfit.io.images import read_data, read_picture
-from pbrfit.io.quoting import listed
 from pbrfit.model.estimates import of_maps, read, reduced
 from pbrfit.model.materials import Materials
+from pbrfit.values.arrays import Codes
+from pbrfit.values.quoting import listed
 
 NAMES = {
     "albedo": r"albedo|base_?color|diffuse",

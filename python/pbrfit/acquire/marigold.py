@@ -26,10 +26,10 @@ from PIL import Image
 from pbrfit._core import InputError
 from pbrfit.acquire import weights
 from pbrfit.acquire.padding import resized, resized_srgb8
-from pbrfit.array_types import Array, Codes
 from pbrfit.io.color import decode_srgb
 from pbrfit.model.depth_normals import FACING
 from pbrfit.model.materials import Materials
+from pbrfit.values.arrays import Array, Codes
 
 NORMALS_MODEL = "prs-eth/marigold-normals-v1-1"
 DEPTH_MODEL = "prs-eth/marigold-depth-v1-1"

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.acquire import marigold
-from pbrfit.array_types import Array, Codes, Mask
 from pbrfit.io.depth_files import read_depth
 from pbrfit.io.normal_files import MIN_NORMAL_LENGTH, Convention, read_normals
 from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.model.depth_normals import FACING, DepthKind, from_depth
 from pbrfit.scene.depth import without_holes
+from pbrfit.values.arrays import Array, Codes, Mask
 
 log = logging.getLogger("pbrfit")
 

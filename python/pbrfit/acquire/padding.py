@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from pbrfit._core import InputError
-from pbrfit.array_types import Codes, Floats
 from pbrfit.io.color import decode_srgb, encode_srgb
 from pbrfit.io.exif import without_warnings
-from pbrfit.io.quoting import shown
 from pbrfit.io.resampling import averaged
+from pbrfit.values.arrays import Codes, Floats
+from pbrfit.values.quoting import shown
 
 FORMATS = ("PNG", "JPEG", "WEBP")
 """What services send, by Pillow's names; its other readers are not asked."""

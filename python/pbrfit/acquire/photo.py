@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.array_types import Array, Codes, Mask
 from pbrfit.display.tone import codes, encoded
 from pbrfit.io import images
 from pbrfit.io.color import ColorSpace
-from pbrfit.io.quoting import listed
 from pbrfit.io.resampling import averaged_channels, averaged_where, reduced_size
 from pbrfit.model.geometry import fov_from_focal_length
 from pbrfit.result.metrics import white_of
 from pbrfit.scene import folder as scene_folder
 from pbrfit.scene.options import ReadOptions
+from pbrfit.values.arrays import Array, Codes, Mask
+from pbrfit.values.quoting import listed
 
 LEAST_SIDE = 64
 """Fewest pixels of a side: below, FLUX.2 refuses, and a picture shows nothing to imagine from."""

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from pbrfit.io.input_files import SETTINGS_BYTES, read_text
 from pbrfit.io.json_files import UNFIT, read_as, toml_of, unfit
-from pbrfit.io.quoting import quoted
+from pbrfit.values.quoting import quoted
 
 SHIPPED = "prompts.toml"
 _SLUG = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")

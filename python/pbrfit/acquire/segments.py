@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from pbrfit.acquire import weights
 from pbrfit.acquire.normals import check_reducible
-from pbrfit.array_types import Codes, Mask
-from pbrfit.checks import finite
 from pbrfit.io import images
 from pbrfit.io.resampling import at_centres
 from pbrfit.scene.folder import MAX_ID
+from pbrfit.values.arrays import Codes, Mask
+from pbrfit.values.checks import finite
 
 MODEL = "facebook/sam2.1-hiera-large"
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pbrfit._core import InputError
-from pbrfit.checks import one_of
+from pbrfit.values.checks import one_of
 
 log = logging.getLogger("pbrfit")
 

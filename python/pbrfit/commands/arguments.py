@@ -13,7 +13,7 @@ from pbrfit.commands.messages import complain as complain
 from pbrfit.commands.messages import unread_is_no_failure as unread_is_no_failure
 from pbrfit.commands.progress import progress_bar as progress_bar
 from pbrfit.errors import in_one_line as in_one_line
-from pbrfit.io.quoting import visible
+from pbrfit.values.quoting import visible
 
 if TYPE_CHECKING:
     from pbrfit.result.result import Result

@@ -9,7 +9,6 @@ import numpy as np
 
 from pbrfit.acquire.depth import MODEL, estimate
 from pbrfit.acquire.marigold import DEPTH_MODEL, ENSEMBLE
-from pbrfit.array_types import Codes
 from pbrfit.commands import arguments as cli
 from pbrfit.commands import network_options as network
 from pbrfit.commands.scene_options import DEPTH_KIND, field_of_view
@@ -19,6 +18,7 @@ from pbrfit.scene import completion
 from pbrfit.scene.depth import in_words
 from pbrfit.scene.options import ReadOptions
 from pbrfit.scene.reading import read_surface
+from pbrfit.values.arrays import Codes
 
 
 def _unit(text: str) -> float:

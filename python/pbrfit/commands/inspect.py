@@ -9,12 +9,12 @@ from pbrfit.commands import arguments as cli
 from pbrfit.commands.scene_options import add_input, reading
 from pbrfit.io import images
 from pbrfit.io.output import check_free_file, new_file
-from pbrfit.io.quoting import visible
 from pbrfit.report import inspection
 from pbrfit.result import preview
 from pbrfit.scene.folder import check_unread, locate
 from pbrfit.scene.reading import load
 from pbrfit.scene.scene import Scene
+from pbrfit.values.quoting import visible
 
 LOOK_SIDE = 512
 """Longer side in pixels at which larger pictures are looked at."""

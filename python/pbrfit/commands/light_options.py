@@ -9,11 +9,11 @@ import numpy as np
 
 from pbrfit._core import InputError
 from pbrfit.commands.arguments import add_flags, number, numbers, value
-from pbrfit.io.quoting import listed
 from pbrfit.model.environment import Environment
 from pbrfit.model.lighting import Lighting
 from pbrfit.result.relighting import SOFTEST, DirectionalLight, Light, PointLight, turned
 from pbrfit.result.result import Result
+from pbrfit.values.quoting import listed
 
 Facts = list[tuple[str, str]]
 """Topics, and a sentence on each."""

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from pbrfit.io.quoting import visible
+from pbrfit.values.quoting import visible
 
 OPTIONS = ("color_space", "fov", "iterations", "orientation", "time_limit", "white")
 """Options that the library speaks of, as Python names them."""

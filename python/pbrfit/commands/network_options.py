@@ -11,9 +11,9 @@ from pbrfit._core import InputError
 from pbrfit.acquire.marigold import ENSEMBLE
 from pbrfit.acquire.photo import shown_to_network
 from pbrfit.acquire.weights import Device, Offload, Precision
-from pbrfit.array_types import Codes
 from pbrfit.commands.arguments import Flag, add_flags, choice, positive, value, whole_number
 from pbrfit.commands.scene_options import COLOR_SPACE
+from pbrfit.values.arrays import Codes
 
 Flags = Mapping[str, Flag]
 """Options by their names."""

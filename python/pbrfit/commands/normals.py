@@ -13,7 +13,6 @@ import numpy as np
 from pbrfit._core import InputError
 from pbrfit.acquire.marigold import ENSEMBLE, NORMALS_MODEL
 from pbrfit.acquire.normals import HALF_WEIGHT, Normals, estimate, kind_of
-from pbrfit.array_types import Codes
 from pbrfit.commands import arguments as cli
 from pbrfit.commands import network_options as network
 from pbrfit.commands.progress import fit_steps
@@ -25,6 +24,7 @@ from pbrfit.scene import folder as scene_folder
 from pbrfit.scene.arrays import SHAPE_PICTURES_MIN
 from pbrfit.scene.options import ReadOptions
 from pbrfit.scene.scene import Scene
+from pbrfit.values.arrays import Codes
 
 FLAGS: dict[str, network.Flags] = {
     "marigold": {

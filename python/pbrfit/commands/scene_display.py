@@ -27,9 +27,9 @@ from pbrfit.commands.terminal import (
     verdict_lines,
 )
 from pbrfit.io.json_files import as_json
-from pbrfit.io.quoting import shown
 from pbrfit.result.result import REPORT_FILE
 from pbrfit.result.verdict import LEVELS, PARAMETERS, Level, nothing_usable
+from pbrfit.values.quoting import shown
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ from html import escape
 import numpy as np
 from PIL import Image
 
-from pbrfit.array_types import Floats, Mask
 from pbrfit.display.tone import codes, encoded
 from pbrfit.io.images import encode_png
+from pbrfit.values.arrays import Floats, Mask
 
 SIDE = 128
 """Longer side of a scene's picture in pixels."""

@@ -6,9 +6,9 @@ from typing import Literal
 
 import numpy as np
 
-from pbrfit.array_types import Array, Codes, Floats
-from pbrfit.checks import finite, one_of
 from pbrfit.io.color import encode_srgb, over_channels
+from pbrfit.values.arrays import Array, Codes, Floats
+from pbrfit.values.checks import finite, one_of
 
 ToneMap = Literal["none", "neutral"]
 """How radiance above white is shown: clipped, or by `neutral`."""

@@ -20,11 +20,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Array
 from pbrfit.export.maps import Bits, codes
 from pbrfit.model.materials import nearest_inside
 from pbrfit.result.result import Result
 from pbrfit.scene.integration import depth_from_normals
+from pbrfit.values.arrays import Array
 
 FLAT = 1e-6
 """Picture widths between lowest and highest below which there is nothing to displace."""

@@ -12,14 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from pbrfit.array_types import Array
 from pbrfit.export.nonnegative import nonnegative_radiance, surface_response
 from pbrfit.io import images
-from pbrfit.io.quoting import cell
 from pbrfit.model import panorama
 from pbrfit.model.lighting import Lighting
 from pbrfit.result.result import Result
 from pbrfit.threads import one_blas_thread
+from pbrfit.values.arrays import Array
+from pbrfit.values.quoting import cell
 
 HEIGHT = 64
 """Rows of a panorama. Nothing in l ≤ 3 is finer than 20 of them; what linear interpolation between

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.array_types import Array, Mask
 from pbrfit.io.color import encode_srgb
 from pbrfit.model.materials import nearest_inside
 from pbrfit.result.result import Result
+from pbrfit.values.arrays import Array, Mask
 
 NormalConvention = Literal["opengl", "directx"]
 """Which way the green channel of a normal map points: up, or down."""

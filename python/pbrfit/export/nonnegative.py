@@ -23,12 +23,12 @@ import math
 
 import numpy as np
 
-from pbrfit.array_types import Array
 from pbrfit.fit.sampling import evenly_spaced
 from pbrfit.model import panorama
 from pbrfit.model.geometry import view_directions
 from pbrfit.model.reflection import sh_basis, shade
 from pbrfit.result.result import Result
+from pbrfit.values.arrays import Array
 
 PIXELS = 4096
 """Number of pixels that stand for all in M, whose 136 numbers need no more."""

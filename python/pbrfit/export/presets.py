@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from pbrfit._core import InputError
-from pbrfit.checks import one_of
 from pbrfit.export.maps import (
     BASE_COLOR,
     BASE_COLOR_DEVIATION,
@@ -17,6 +16,7 @@ from pbrfit.export.maps import (
     Texture,
 )
 from pbrfit.export.view_mesh import Geometry
+from pbrfit.values.checks import one_of
 
 Format = Literal["gltf", "exr", "png", "mtlx", "lp", "ptm", "rti", "openlime"]
 PresetName = Literal["blender", "unreal", "unity"]

@@ -24,13 +24,13 @@ from pathlib import PurePosixPath
 import numpy as np
 
 from pbrfit._core import InputError
-from pbrfit.array_types import Array, Codes, Mask
 from pbrfit.io.color import encode_srgb
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import sh_basis
 from pbrfit.result import metrics
 from pbrfit.result.relighting import relight
 from pbrfit.result.result import Result
+from pbrfit.values.arrays import Array, Codes, Mask
 
 LP_FILE = "lamps.lp"
 LP_HOLDS = "directions to the lamps, X right, Y up, Z to the viewer, by picture file"

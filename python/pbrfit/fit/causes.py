@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from pbrfit.array_types import Array, Floats
 from pbrfit.fit.discrepancy import Discrepancy
 from pbrfit.fit.independent_lights import Shown
 from pbrfit.fit.parameters import ParameterLayout
@@ -22,6 +21,7 @@ from pbrfit.result.verdict import Verdict, doubted
 from pbrfit.scene.arrays import CHANNELS
 from pbrfit.scene.scene import Scene
 from pbrfit.transport.decision import Transport
+from pbrfit.values.arrays import Array, Floats
 
 FEW_PICTURES = 6
 """Pictures below which few are named: 3 samples each for 5 unknowns of a pixel, beside lights."""

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pbrfit.array_types import Array
 from pbrfit.fit import misfit, settings
 from pbrfit.fit.joint import JointFit, SharedFit, minimize
 from pbrfit.fit.levels import Level
@@ -30,6 +29,7 @@ from pbrfit.fit.priors.population import METAL_SHARE
 from pbrfit.fit.priors.posterior import PURE_NODES
 from pbrfit.fit.run import Run
 from pbrfit.model.materials import Materials
+from pbrfit.values.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,6 @@ from typing import Any
 import numpy as np
 
 from pbrfit._core import InputError
-from pbrfit.array_types import Array
 from pbrfit.fit import settings
 from pbrfit.fit.coarse import Lights
 from pbrfit.fit.estimator import fit_materials, lights_and_noise
@@ -50,6 +49,7 @@ from pbrfit.scene.scene import Scene
 from pbrfit.threads import one_blas_thread
 from pbrfit.transport.decision import NOT_TRIED, Kind, Transport
 from pbrfit.transport.scenery import PixelTransfer, Scenery
+from pbrfit.values.arrays import Array
 
 log = logging.getLogger("pbrfit")
 

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from pbrfit import address_space
 from pbrfit._core import InputError
-from pbrfit.array_types import Array
 from pbrfit.fit import memory
 from pbrfit.fit.causes import left_out_words, with_causes
 from pbrfit.fit.run import FitSetup, Progress, Trace, material_errors, notebook_bar
@@ -48,6 +47,7 @@ from pbrfit.scene import arrays, exposure
 from pbrfit.scene.options import ReadOptions
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import in_pieces, one_blas_thread
+from pbrfit.values.arrays import Array
 
 if TYPE_CHECKING:
     from pbrfit.fit.compare import Choice

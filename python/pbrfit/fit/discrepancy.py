@@ -31,7 +31,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Array
 from pbrfit.fit import misfit, settings
 from pbrfit.fit.independent_lights import Shown
 from pbrfit.fit.normal_equations import inverted, known_materials
@@ -41,6 +40,7 @@ from pbrfit.fit.pixels import Pixels, fit_level
 from pbrfit.fit.priors.population import METALLIC_DEVIATION, ROUGHNESS_DEVIATION
 from pbrfit.fit.priors.posterior import Pooling
 from pbrfit.fit.sampling import evenly_spaced, pairs_apart, pixel_index
+from pbrfit.values.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

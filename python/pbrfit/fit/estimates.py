@@ -32,7 +32,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Array
 from pbrfit.fit.objective import Objective
 from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.model.estimates import reduced
@@ -41,6 +40,7 @@ from pbrfit.result.options import FitOptions
 from pbrfit.result.uncertainty import TWO_SIDED, Uncertainty
 from pbrfit.result.verdict import by_deviations
 from pbrfit.scene.scene import Scene
+from pbrfit.values.arrays import Array
 
 log = logging.getLogger("pbrfit")
 

@@ -21,7 +21,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from pbrfit.array_types import Array, Mask
 from pbrfit.fit import lbfgsb, misfit, settings
 from pbrfit.fit.coarse import Lights, Watch, judged, left_of, rounds
 from pbrfit.fit.joint import JointFit, minimize
@@ -35,6 +34,7 @@ from pbrfit.fit.priors.mixture import fit_prior, with_lights
 from pbrfit.fit.priors.penalties import Monochrome, chosen_priors, penalties
 from pbrfit.fit.run import Run, State
 from pbrfit.result.data import Status
+from pbrfit.values.arrays import Array, Mask
 
 
 def solve(run: Run, x: Array, *, start_given: bool) -> State:

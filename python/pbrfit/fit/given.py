@@ -32,7 +32,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pbrfit.array_types import Array, Mask
 from pbrfit.fit.lamps.given_normals import TINY
 from pbrfit.fit.lamps.photometric import DARK, ROUNDS, factors, pseudo_normals, solved
 from pbrfit.fit.lamps.problem import LampPixels
@@ -51,6 +50,7 @@ from pbrfit.scene.arrays import consecutive_labels
 from pbrfit.scene.depth import DISAGREEMENT_MIN, compared
 from pbrfit.scene.outline import outline
 from pbrfit.scene.scene import Scene
+from pbrfit.values.arrays import Array, Mask
 
 ERRORS_MIN, CHANCE_MAX = 3.0, 0.001
 """Standard errors by which an alternative has to be better: where six tell nothing, one of them is

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pbrfit.array_types import Array
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.penalties import Penalty
+from pbrfit.values.arrays import Array
 
 
 @dataclass(frozen=True)

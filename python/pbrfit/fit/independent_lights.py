@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pbrfit.array_types import Array, Floats
 from pbrfit.fit.settings import EXACT_RMSE
+from pbrfit.values.arrays import Array, Floats
 
 NUMBERS_MIN = 1.5
 """Numbers of a pixel for each of its unknowns, below which the fit takes up more than two thirds of

@@ -27,7 +27,6 @@ from typing import Any
 import numpy as np
 
 from pbrfit import _core
-from pbrfit.array_types import Array
 from pbrfit.fit import settings
 from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.misfit import variance
@@ -37,6 +36,7 @@ from pbrfit.fit.pixels import Pixels, fit_all, place, taken, try_from
 from pbrfit.fit.preconditioner import Solve, conjugate_gradients, preconditioner
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.sampling import evenly_spaced_over
+from pbrfit.values.arrays import Array
 
 Stop = Callable[[], bool]
 Visit = Callable[[Array, Array], bool]

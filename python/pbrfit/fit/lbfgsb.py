@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from pbrfit.array_types import Array
 from pbrfit.fit import settings
 from pbrfit.fit.run import Run
+from pbrfit.values.arrays import Array
 
 
 def staged(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array, str]:

@@ -22,7 +22,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Array, Mask
 from pbrfit.fit import settings
 from pbrfit.fit.lamps.estimator import Found
 from pbrfit.fit.sampling import pairs_apart, pixel_index
@@ -30,6 +29,7 @@ from pbrfit.io.color import Curve
 from pbrfit.lazy import lazy
 from pbrfit.result.options import Loss
 from pbrfit.transport.decision import Kind
+from pbrfit.values.arrays import Array, Mask
 
 LightKind = Literal["sh", "lamps"]
 

@@ -25,9 +25,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pbrfit.array_types import Array
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.settings import MEAN_RADIANCE
+from pbrfit.values.arrays import Array
 
 BAND_SIGMA = 0.45
 """Standard deviation of a coefficient over the constant one. Eight panoramas, rotated at random,

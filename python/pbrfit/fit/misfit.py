@@ -28,9 +28,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pbrfit.array_types import Array
 from pbrfit.fit import settings
 from pbrfit.fit.objective import Objective
+from pbrfit.values.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Array, Codes, Mask
 from pbrfit.fit import settings
 from pbrfit.fit.normal_equations import by_unknowns, products
 from pbrfit.fit.objective import Objective
@@ -49,6 +48,7 @@ from pbrfit.fit.sampling import slices
 from pbrfit.fit.tails import StudentT, Tails, likeliest
 from pbrfit.io.limits import AT_LEAST, AT_MOST
 from pbrfit.threads import in_pieces
+from pbrfit.values.arrays import Array, Codes, Mask
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pbrfit.array_types import Array, Mask
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
+from pbrfit.values.arrays import Array, Mask
 
 RIDGE = 1e-12
 """Added to matrices of unit diagonal before they are inverted; far below what data can tell."""

@@ -27,7 +27,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pbrfit.array_types import Array
 from pbrfit.fit import settings
 from pbrfit.fit.joint import JointFit
 from pbrfit.fit.misfit import Misfit
@@ -37,6 +36,7 @@ from pbrfit.result.camera import Camera
 from pbrfit.scene.arrays import FIRST_FOV
 from pbrfit.scene.correction import Correction
 from pbrfit.scene.scene import Scene
+from pbrfit.values.arrays import Array
 
 
 def log_tangent(fov: float) -> float:

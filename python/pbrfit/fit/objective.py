@@ -12,8 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
 from pbrfit._core import InputError
-from pbrfit.array_types import Array, Codes, Floats, Mask
-from pbrfit.checks import real_array
 from pbrfit.fit import settings
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.penalties import penalties
@@ -25,6 +23,8 @@ from pbrfit.scene.correction import Correction
 from pbrfit.scene.exposure import relative_exposures
 from pbrfit.scene.scene import Scene
 from pbrfit.transport.scenery import PixelTransfer
+from pbrfit.values.arrays import Array, Codes, Floats, Mask
+from pbrfit.values.checks import real_array
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Array, Floats, Mask
 from pbrfit.fit.sampling import placed
 from pbrfit.lazy import lazy
 from pbrfit.scene.scene import Scene
+from pbrfit.values.arrays import Array, Floats, Mask
 
 
 @dataclass(frozen=True, eq=False)

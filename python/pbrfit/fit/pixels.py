@@ -8,11 +8,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Array, Mask
 from pbrfit.fit import settings
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.sampling import beside, slices
+from pbrfit.values.arrays import Array, Mask
 
 Pixels = NDArray[np.uint64]
 

@@ -19,11 +19,11 @@ from typing import Any
 
 import numpy as np
 
-from pbrfit.array_types import Array
 from pbrfit.fit import settings
 from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.normal_equations import known_materials, solver_of
 from pbrfit.fit.objective import Objective
+from pbrfit.values.arrays import Array
 
 Solve = Callable[[Array], Array]
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pbrfit.array_types import Array
 from pbrfit.fit import discrepancy
 from pbrfit.fit.discrepancy import Discrepancy
 from pbrfit.fit.noise import NoiseModel
@@ -31,6 +30,7 @@ from pbrfit.result.history import HistoryRow
 from pbrfit.result.options import FitOptions
 from pbrfit.scene.scene import Scene
 from pbrfit.steps import step
+from pbrfit.values.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Array, Floats, Mask
 from pbrfit.fit.settings import STRIDED_SUBSET_EXCESS
+from pbrfit.values.arrays import Array, Floats, Mask
 
 
 def evenly_spaced(count: int, at_most: int) -> NDArray[np.uint64]:

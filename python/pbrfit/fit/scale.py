@@ -30,7 +30,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.array_types import Array, Mask
 from pbrfit.fit import misfit, settings
 from pbrfit.fit.joint import JointFit, SharedFit
 from pbrfit.fit.light_prior import LightPrior
@@ -40,6 +39,7 @@ from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.pixels import Pixels, fit_all
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.sampling import evenly_spaced, groups_of
+from pbrfit.values.arrays import Array, Mask
 
 Labels = NDArray[np.intp]
 

@@ -23,8 +23,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pbrfit.array_types import Array
 from pbrfit.fit import settings
+from pbrfit.values.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,6 @@ from functools import partial
 
 import numpy as np
 
-from pbrfit.array_types import Array
 from pbrfit.fit import settings, uncertainty
 from pbrfit.fit.normals import refined_fit
 from pbrfit.fit.objective import Normalization, valid_values
@@ -31,6 +30,7 @@ from pbrfit.result.data import Stage, Status
 from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import Refinement
 from pbrfit.scene.scene import Scene
+from pbrfit.values.arrays import Array
 
 
 def fit_tiles(

@@ -20,7 +20,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Array
 from pbrfit.fit import misfit, settings
 from pbrfit.fit.joint import JointFit, SharedFit, minimize
 from pbrfit.fit.light_prior import LightPrior
@@ -31,6 +30,7 @@ from pbrfit.lazy import lazy
 from pbrfit.scene.scene import Scene
 from pbrfit.transport.decision import Kind, Transport, candidates
 from pbrfit.transport.scenery import PixelTransfer, Scenery, filled
+from pbrfit.values.arrays import Array
 
 
 class Surrounded:

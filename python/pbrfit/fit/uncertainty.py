@@ -29,7 +29,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Array, Floats
 from pbrfit.fit import settings
 from pbrfit.fit.discrepancy import Discrepancy, prior_precision
 from pbrfit.fit.normal_equations import RIDGE
@@ -47,6 +46,7 @@ from pbrfit.model.materials import Materials
 from pbrfit.result.uncertainty import TWO_SIDED, Uncertainty
 from pbrfit.result.verdict import by_deviations
 from pbrfit.threads import in_pieces
+from pbrfit.values.arrays import Array, Floats
 
 
 @dataclass(frozen=True, eq=False)

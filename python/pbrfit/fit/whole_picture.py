@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Array
 from pbrfit.fit import scale
 from pbrfit.fit.discrepancy import Discrepancy
 from pbrfit.fit.independent_lights import Shown
@@ -31,6 +30,7 @@ from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import CHANGE_DEGREES_MIN, Refinement
 from pbrfit.result.uncertainty import Uncertainty
 from pbrfit.scene.scene import Scene
+from pbrfit.values.arrays import Array
 
 Start = tuple[Materials, Array | None] | None
 """Maps to start from, and perhaps lights."""

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Array, Codes, Mask
 from pbrfit.fit.sampling import stride
 from pbrfit.fit.settings import COMPARE_SIDE
 from pbrfit.io.color import Conversion
@@ -20,6 +19,7 @@ from pbrfit.model import geometry
 from pbrfit.model.materials import Materials
 from pbrfit.scene.arrays import SceneArrays, Truth, equal_channels
 from pbrfit.scene.scene import Scene
+from pbrfit.values.arrays import Array, Codes, Mask
 
 
 @dataclass(frozen=True)

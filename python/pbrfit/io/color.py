@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pbrfit._core import average_light
-from pbrfit.array_types import Array, Floats
-from pbrfit.checks import one_of
 from pbrfit.io.limits import Limits, converted
+from pbrfit.values.arrays import Array, Floats
+from pbrfit.values.checks import one_of
 
 ColorSpace = Literal["srgb", "linear", "acescg", "display-p3", "adobe-rgb"]
 """How stored values are to be read.

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from pbrfit._core import InputError
-from pbrfit.array_types import Array
-from pbrfit.checks import finite
 from pbrfit.io import layers
 from pbrfit.io.images import read_stored
 from pbrfit.io.input_files import there
-from pbrfit.io.quoting import listed, shown
+from pbrfit.values.arrays import Array
+from pbrfit.values.checks import finite
+from pbrfit.values.quoting import listed, shown
 
 DEPTH_FILES = ("depth.exr", "depth.npy", "depth.png")
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.quoting import shown
+from pbrfit.values.quoting import shown
 
 _ALONE = threading.Lock()
 

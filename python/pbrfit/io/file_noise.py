@@ -40,10 +40,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Array, Codes, Floats
 from pbrfit.io.color import Conversion
 from pbrfit.io.exif import without_warnings
 from pbrfit.io.resampling import area_shares
+from pbrfit.values.arrays import Array, Codes, Floats
 
 SIDE = 8
 """Samples along a block."""

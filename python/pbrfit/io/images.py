@@ -24,15 +24,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
 from pbrfit._core import InputError
-from pbrfit.array_types import Array, Mask
-from pbrfit.checks import one_of
 from pbrfit.io import color as coding
 from pbrfit.io import exif, layers, radiance, raw_files
 from pbrfit.io.color import ColorSpace, Conversion, Curve, Place, Primaries
 from pbrfit.io.file_noise import Stored, read_tables
 from pbrfit.io.input_files import PICTURE_BYTES, content_of, names_file, open_file, read_bytes
 from pbrfit.io.limits import AT_LEAST, AT_MOST, ORDINARY, Limits
-from pbrfit.io.quoting import shown
+from pbrfit.values.arrays import Array, Mask
+from pbrfit.values.checks import one_of
+from pbrfit.values.quoting import shown
 
 logger = logging.getLogger("pbrfit")
 

@@ -19,7 +19,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from pbrfit._core import InputError
 from pbrfit.io.input_files import TEXT_BYTES, read_text
-from pbrfit.io.quoting import listed, quoted, shown
+from pbrfit.values.quoting import listed, quoted, shown
 
 UNFIT = (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError)
 """What it may come to when content is taken for what it is not."""

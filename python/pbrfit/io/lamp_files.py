@@ -20,7 +20,7 @@ from typing import Any
 from pbrfit._core import InputError
 from pbrfit.io.input_files import LIST_BYTES, read_text
 from pbrfit.io.json_files import UNFIT, number, read_json, table, text, unfit, write_json
-from pbrfit.io.quoting import listed, quoted, shown
+from pbrfit.values.quoting import listed, quoted, shown
 
 log = logging.getLogger("pbrfit")
 

@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from pbrfit._core import InputError
-from pbrfit.io.quoting import listed, shown
+from pbrfit.values.quoting import listed, shown
 
 Rule = tuple[Sequence[Sequence[str]], str]
 """Sets of channels, the best first, and a pattern of the names of layers that may have them."""

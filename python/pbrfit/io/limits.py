@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pbrfit.array_types import Array, Codes
+from pbrfit.values.arrays import Array, Codes
 
 ORDINARY, AT_LEAST, AT_MOST = 0, 1, 2
 """What a sample says of the true radiance: what it is; at least so much; at most so much."""

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.array_types import Array, Floats, Mask
 from pbrfit.io import images, layers
 from pbrfit.io.images import read_stored
 from pbrfit.io.input_files import there
+from pbrfit.values.arrays import Array, Floats, Mask
 
 NORMAL_FILES = ("normals.exr", "normals.png")
 

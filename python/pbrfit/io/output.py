@@ -19,7 +19,7 @@ from pathlib import Path
 
 from pbrfit import _core
 from pbrfit.io.input_files import FILE, FOLDER, LINK, kind_of, there
-from pbrfit.io.quoting import listed
+from pbrfit.values.quoting import listed
 
 TOKEN_BYTES = 6
 """Random bytes, in hexadecimal, by which unfinished outputs are named."""

@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.array_types import Array, Mask
 from pbrfit.io import exif
 from pbrfit.io.color import REC709, rgb_to_xyz
 from pbrfit.io.limits import AT_LEAST, Limits, converted
-from pbrfit.io.quoting import shown
+from pbrfit.values.arrays import Array, Mask
+from pbrfit.values.quoting import shown
 
 RAW_SUFFIXES = frozenset({
     ".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dcr", ".dng", ".erf", ".iiq", ".kdc", ".mef", ".mos",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Array, Mask
+from pbrfit.values.arrays import Array, Mask
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.array_types import Array, Floats
 from pbrfit.io import images
-from pbrfit.io.quoting import listed
 from pbrfit.io.resampling import averaged_channels
+from pbrfit.values.arrays import Array, Floats
+from pbrfit.values.quoting import listed
 
 WEIGHT_FILE = "weights.exr"
 

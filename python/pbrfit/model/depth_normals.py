@@ -12,8 +12,8 @@ from typing import Literal, get_args
 import numpy as np
 
 from pbrfit._core import InputError
-from pbrfit.array_types import Array, Mask
 from pbrfit.model import geometry
+from pbrfit.values.arrays import Array, Mask
 
 FACING = np.array([0.0, 0.0, 1.0])
 """The normal of a surface that faces the viewer: of all pixels that have none."""

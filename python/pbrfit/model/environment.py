@@ -17,8 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
 from pbrfit._core import InputError
-from pbrfit.array_types import Array
-from pbrfit.checks import finite, real_array
 from pbrfit.io.color import ColorSpace
 from pbrfit.lazy import lazy
 from pbrfit.model import panorama
@@ -31,6 +29,8 @@ from pbrfit.model.reflection import (
     checked_model,
     whole_number,
 )
+from pbrfit.values.arrays import Array
+from pbrfit.values.checks import finite, real_array
 
 LEAST_ROWS = 2
 """Rows of a panorama: with one there is no up and down."""

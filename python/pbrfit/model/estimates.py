@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.checks import real_array
 from pbrfit.io import images
-from pbrfit.io.quoting import listed
 from pbrfit.io.resampling import averaged_channels
 from pbrfit.model.materials import Materials
+from pbrfit.values.checks import real_array
+from pbrfit.values.quoting import listed
 
 ESTIMATES_FILE = "estimates.exr"
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.array_types import Array, Floats, Mask
-from pbrfit.checks import real_number
+from pbrfit.values.arrays import Array, Floats, Mask
+from pbrfit.values.checks import real_number
 
 FOV_MIN = 1e-3
 """Least field of view in degrees: a metre seen from 57 km. Where it is less, 0 is meant."""

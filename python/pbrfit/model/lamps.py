@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.array_types import Array, Mask
-from pbrfit.checks import reals
 from pbrfit.io.json_files import as_json
 from pbrfit.io.lamp_files import LampRow
+from pbrfit.values.arrays import Array, Mask
+from pbrfit.values.checks import reals
 
 UNIT = 1e-5
 """Largest difference of a direction's length from 1."""

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pbrfit._core import InputError
-from pbrfit.checks import finite, of_what, real_array
 from pbrfit.io.json_files import UNFIT, read_as, read_json, table, unfit, write_json
 from pbrfit.io.lamp_files import LENGTH_OFF_MAX, rows_of_json, unit
-from pbrfit.io.quoting import quoted, shown
 from pbrfit.model.lamps import Lamps, entries_of_lamps, lamps_of_rows
 from pbrfit.model.reflection import sh_basis
+from pbrfit.values.checks import finite, of_what, real_array
+from pbrfit.values.quoting import quoted, shown
 
 BAND_OF = np.repeat(np.arange(4), 2 * np.arange(4) + 1)
 """(16,): band l of coefficient k."""

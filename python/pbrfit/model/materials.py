@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io import images
-from pbrfit.io.quoting import listed
+from pbrfit.values.quoting import listed
 
 
 @dataclass(frozen=True)

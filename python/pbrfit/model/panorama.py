@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pbrfit._core import InputError
-from pbrfit.array_types import Array, Floats
 from pbrfit.io import images
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.limits import AT_LEAST
 from pbrfit.model.lighting import BAND_OF
 from pbrfit.model.reflection import sh_basis
+from pbrfit.values.arrays import Array, Floats
 
 log = logging.getLogger("pbrfit")
 

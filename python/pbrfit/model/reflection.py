@@ -15,11 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
 from pbrfit._core import InputError
-from pbrfit.array_types import Array, Floats, Mask
-from pbrfit.checks import of_what, real_array
 from pbrfit.model.geometry import positions, view_directions
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
+from pbrfit.values.arrays import Array, Floats, Mask
+from pbrfit.values.checks import of_what, real_array
 
 Model = Literal["paper", "principled"]
 """How surfaces reflect light: "paper", its eqs. 1-12 with eq. 12 for the mirror-like part;

@@ -23,10 +23,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Array, Floats, Mask
 from pbrfit.io.resampling import averaged_channels, averaged_where
 from pbrfit.registration import alignment
 from pbrfit.scene.scene import Scene
+from pbrfit.values.arrays import Array, Floats, Mask
 
 Size = tuple[int, int]
 

@@ -18,7 +18,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Array, Codes, Mask
 from pbrfit.io.resampling import reduced_size
 from pbrfit.model.materials import nearest_inside
 from pbrfit.registration import alignment
@@ -34,6 +33,7 @@ from pbrfit.registration.displacement import (
 )
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import in_pieces, one_blas_thread
+from pbrfit.values.arrays import Array, Codes, Mask
 
 log = logging.getLogger("pbrfit")
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from string import Template
 from typing import Literal
 
-from pbrfit.io.quoting import visible
+from pbrfit.values.quoting import visible
 
 THEME_BUTTON = (
     '<button type="button" class="theme tool" hidden aria-label="Light or dark theme" '

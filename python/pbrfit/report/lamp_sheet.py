@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pbrfit.array_types import Array, Floats, Mask
 from pbrfit.display.tone import encoded
 from pbrfit.result import metrics
 from pbrfit.result.drawing import BLACK, BLUE, GREY, ORANGE, as_png, new_figure
 from pbrfit.scene.ball import Ball
+from pbrfit.values.arrays import Array, Floats, Mask
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pbrfit.array_types import Array
 from pbrfit.report import figures, lamp_sheet
 from pbrfit.report.html import Cell, Table, heads, number, paragraph, table
 from pbrfit.report.lights import LUMINANCE
@@ -16,6 +15,7 @@ from pbrfit.report.notation import angle, percent, plain
 from pbrfit.result.drawing import new_figure
 from pbrfit.result.result import Result
 from pbrfit.scene import known_lamps
+from pbrfit.values.arrays import Array
 
 BESIDE = 24
 """Lamps up to which the table stands beside the map; a longer one is folded below it."""

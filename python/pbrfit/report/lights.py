@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pbrfit.array_types import Array
 from pbrfit.display.tone import encoded
 from pbrfit.model import panorama
 from pbrfit.model.materials import Materials
@@ -15,6 +14,7 @@ from pbrfit.model.reflection import Model, render
 from pbrfit.report.maps import BALL_SIDE, ball_normals
 from pbrfit.result import metrics
 from pbrfit.scene.known_lamps import angles
+from pbrfit.values.arrays import Array
 
 PANORAMA_HEIGHT = 96
 GAP = 8

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Array, Floats
 from pbrfit.io.color import encode_srgb
 from pbrfit.io.resampling import reduced_size
 from pbrfit.model.materials import Materials
@@ -20,6 +19,7 @@ from pbrfit.result.differences import Difference
 from pbrfit.result.refinement import FROM_PICTURES
 from pbrfit.result.result import Result
 from pbrfit.result.verdict import LEVELS, PARAMETERS, levels
+from pbrfit.values.arrays import Array, Floats
 
 BALL_SIDE = 96
 

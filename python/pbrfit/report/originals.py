@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from pbrfit._core import InputError
-from pbrfit.io.quoting import listed, visible
 from pbrfit.result.result import Result
 from pbrfit.scene.options import Source
 from pbrfit.scene.scene import Scene
+from pbrfit.values.quoting import listed, visible
 
 log = logging.getLogger("pbrfit")
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pbrfit.array_types import Array
 from pbrfit.display.tone import encoded
 from pbrfit.report import lights, raster
 from pbrfit.report.html import Cell, Table, heads, number
@@ -19,6 +18,7 @@ from pbrfit.result.relighting import relight
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import in_pieces
+from pbrfit.values.arrays import Array
 
 HIGH = 95
 """Percentile of the residuals that is shown beside their root mean square."""

@@ -7,10 +7,10 @@ import io
 import numpy as np
 from PIL import Image
 
-from pbrfit.array_types import Array, Floats, Mask
 from pbrfit.display.tone import codes
 from pbrfit.io.resampling import averaged, averaged_channels, averaged_where, reduced_size
 from pbrfit.result.differences import OUTSIDE, PALETTE, Difference
+from pbrfit.values.arrays import Array, Floats, Mask
 
 SMALL = 1 << 13
 """Pixels up to which the slowest and strongest compression is worth its time."""

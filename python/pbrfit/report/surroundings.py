@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pbrfit.array_types import Array
 from pbrfit.display.tone import encoded
 from pbrfit.io.resampling import reduced_size
 from pbrfit.report import figures, raster
@@ -17,6 +16,7 @@ from pbrfit.result.relighting import DirectionalLight, LampLight, relight
 from pbrfit.result.result import Result
 from pbrfit.transport.room import room_axes
 from pbrfit.transport.scenery import BACK, SIDE, WALL, Scenery
+from pbrfit.values.arrays import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

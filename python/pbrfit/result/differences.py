@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pbrfit.array_types import Array, Codes, Floats, Mask
 from pbrfit.io.color import encode_srgb, over_channels
 from pbrfit.model.materials import Materials
 from pbrfit.result.refinement import CHANGE_DEGREES_MIN
 from pbrfit.result.uncertainty import Uncertainty
 from pbrfit.result.verdict import LEVELS, levels, planes
+from pbrfit.values.arrays import Array, Codes, Floats, Mask
 
 SCALE = (0.001, 1.0)
 """Ends of the scale; what lies beyond takes the ends' colours."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io.input_files import TEXT_BYTES, read_text
-from pbrfit.io.quoting import shown
+from pbrfit.values.quoting import shown
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pbrfit.array_types import Array, Floats
+from pbrfit.values.arrays import Array, Floats
 
 ONE_SIDE = 0.9
 """Length of the mean of the directions that light comes from, above which it comes from one side:

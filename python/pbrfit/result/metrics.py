@@ -10,9 +10,9 @@ import math
 import numpy as np
 
 from pbrfit._core import InputError
-from pbrfit.array_types import Array, Floats, Mask
-from pbrfit.checks import reals
 from pbrfit.io.color import over_channels
+from pbrfit.values.arrays import Array, Floats, Mask
+from pbrfit.values.checks import reals
 
 PROTOCOL = (
     "pbrfit-1: RMSE over valid pixels and channels, linear values; "

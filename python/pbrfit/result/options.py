@@ -12,9 +12,9 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 import numpy as np
 
 from pbrfit._core import InputError
-from pbrfit.checks import finite, of_what, one_of
 from pbrfit.model.reflection import MODELS, Model, checked_model, whole_number
 from pbrfit.result.refinement import RefineNormals
+from pbrfit.values.checks import finite, of_what, one_of
 
 Solver = Literal["gauss-newton", "lbfgsb"]
 SOLVERS: tuple[Solver, ...] = get_args(Solver)

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from pbrfit.array_types import Array, Codes, Floats, Mask
 from pbrfit.model.materials import Materials
 from pbrfit.result import differences, metrics
 from pbrfit.result.data import ResultData
@@ -16,6 +15,7 @@ from pbrfit.result.relighting import DirectionalLight, relight
 from pbrfit.result.sheet import Key, Panel, Row, displayed, outside_grey, sheet
 from pbrfit.result.verdict import MARKS, PARAMETERS
 from pbrfit.scene.arrays import SceneArrays
+from pbrfit.values.arrays import Array, Codes, Floats, Mask
 
 SHOWN, ACROSS = 24, 4
 """Pictures of a scene on its contact sheet at most, and those in a row."""

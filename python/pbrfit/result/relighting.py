@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pbrfit._core import InputError
-from pbrfit.checks import finite, of_what
-from pbrfit.io.quoting import listed, quoted
 from pbrfit.model import lighting
 from pbrfit.model.environment import Environment, render_environment
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import checked_lighting, render, render_directional, render_lamps
+from pbrfit.values.checks import finite, of_what
+from pbrfit.values.quoting import listed, quoted
 
 if TYPE_CHECKING:
     from pbrfit.result.data import ResultData

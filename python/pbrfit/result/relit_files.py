@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, PngImagePlugin
 
-from pbrfit.array_types import Array, Codes
 from pbrfit.display import tone
 from pbrfit.display.tone import ToneMap
 from pbrfit.io import images
+from pbrfit.values.arrays import Array, Codes
 
 Radiance = Array
 """(H, W, 3) linear Rec.709; NaN outside the mask."""

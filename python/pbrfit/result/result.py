@@ -26,7 +26,6 @@ from pbrfit.io.json_files import (
     write_json,
 )
 from pbrfit.io.output import FolderForm, new_folder
-from pbrfit.io.quoting import listed, quoted
 from pbrfit.model.geometry import check_fov
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import of_channels, write_materials
@@ -42,6 +41,7 @@ from pbrfit.scene.folder import HEIGHT_FILE, is_scene
 from pbrfit.scene.options import ReadOptions, Source
 from pbrfit.scene.scene import Scene
 from pbrfit.scene.writing import write_height
+from pbrfit.values.quoting import listed, quoted
 
 if TYPE_CHECKING:
     from pbrfit import Exported

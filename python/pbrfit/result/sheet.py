@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from pbrfit.array_types import Codes, Floats
 from pbrfit.display.tone import encoded
 from pbrfit.result.verdict import Mark
+from pbrfit.values.arrays import Codes, Floats
 
 PANEL_SIDE = (192, 384)
 """Smallest and largest longer side of a panel in pixels."""

@@ -14,10 +14,10 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from pbrfit.array_types import Codes, Floats
 from pbrfit.io.json_files import read_as, table
 from pbrfit.model.materials import Materials
 from pbrfit.result.held_out import HeldOut
+from pbrfit.values.arrays import Codes, Floats
 
 PARAMETERS = ("albedo", "roughness", "metallic")
 """Maps with an uncertainty, in the order of all tables."""

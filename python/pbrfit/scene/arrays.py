@@ -12,8 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.array_types import Array, Codes, Floats, Mask
-from pbrfit.checks import any_array, of_what, real_array, real_number, reals
 from pbrfit.io.color import Conversion, Curve, decode_srgb, encode_srgb
 from pbrfit.io.limits import AT_LEAST, AT_MOST
 from pbrfit.io.normal_files import MIN_NORMAL_LENGTH
@@ -27,6 +25,8 @@ from pbrfit.scene.correction import Correction
 from pbrfit.scene.depth import checked_depth
 from pbrfit.scene.options import Source
 from pbrfit.scene.plateaus import plateaus
+from pbrfit.values.arrays import Array, Codes, Floats, Mask
+from pbrfit.values.checks import any_array, of_what, real_array, real_number, reals
 
 if TYPE_CHECKING:
     from pbrfit.io.file_noise import FileNoise

@@ -21,10 +21,10 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from pbrfit._core import InputError
-from pbrfit.array_types import Array, Floats, Mask
 from pbrfit.io.limits import Limits
 from pbrfit.io.resampling import averaged, reduced_size
 from pbrfit.model import geometry
+from pbrfit.values.arrays import Array, Floats, Mask
 
 BallKind = Literal["mirror", "matt"]
 

@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.array_types import Array, Floats
-from pbrfit.checks import any_array
 from pbrfit.io.input_files import there
 from pbrfit.io.lamp_files import LAMP_FILES, find_lamps, write_lamps
 from pbrfit.io.normal_files import NORMAL_FILES, find_normals, write_normals
@@ -21,6 +19,8 @@ from pbrfit.model.lamps import Lamps, entries_of_lamps
 from pbrfit.scene import folder as scene_folder
 from pbrfit.scene.folder import HEIGHT_FILE
 from pbrfit.scene.writing import write_height
+from pbrfit.values.arrays import Array, Floats
+from pbrfit.values.checks import any_array
 
 
 def picture_size(folder: Path) -> tuple[int, int]:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pbrfit.array_types import Array, Floats
+from pbrfit.values.arrays import Array, Floats
 
 DARKEST = math.log(1 / 50)
 KNEES = math.log(1 / 3), math.log(3)

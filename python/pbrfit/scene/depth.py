@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.array_types import Array, Floats
-from pbrfit.checks import any_array
 from pbrfit.io.resampling import at_centres, averaged
 from pbrfit.model.depth_normals import DEPTH_MAX, from_depth
 from pbrfit.model.geometry import angles_between
+from pbrfit.values.arrays import Array, Floats
+from pbrfit.values.checks import any_array
 
 log = logging.getLogger("pbrfit")
 

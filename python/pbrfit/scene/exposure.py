@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pbrfit.array_types import Array
 from pbrfit.scene.scene import Scene
+from pbrfit.values.arrays import Array
 
 EXPOSURE_RANGE = 4.0
 """Brightest over darkest picture, by mean radiance, beyond which exposures are evened out."""

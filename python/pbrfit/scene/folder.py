@@ -19,11 +19,11 @@ from pbrfit.io.json_files import UNFIT, read_json, text, toml_of, unfit
 from pbrfit.io.lamp_files import LAMP_FILES, find_lamps
 from pbrfit.io.normal_files import NORMAL_FILES, find_normals
 from pbrfit.io.output import FolderForm
-from pbrfit.io.quoting import listed, shown
 from pbrfit.io.raw_files import RAW_SUFFIXES
 from pbrfit.io.weight_files import WEIGHT_FILE
 from pbrfit.model.estimates import ESTIMATES_FILE
 from pbrfit.scene.options import Settings
+from pbrfit.values.quoting import listed, shown
 
 log = logging.getLogger("pbrfit")
 

@@ -40,10 +40,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError, poisson_heights
-from pbrfit.array_types import Array, Floats, Mask
-from pbrfit.checks import any_array
 from pbrfit.model import geometry
 from pbrfit.scene.depth import without_holes
+from pbrfit.values.arrays import Array, Floats, Mask
+from pbrfit.values.checks import any_array
 
 DEPTH_WEIGHT = 4.0
 """λ of depth that is off by half as much, relatively, as normals are in radians: 5 %, 6 degrees."""

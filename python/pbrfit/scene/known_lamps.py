@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pbrfit.array_types import Array
 from pbrfit.io.lamp_files import matched, read_lamps
 from pbrfit.model.lamps import Lamps, lamps_of_rows
+from pbrfit.values.arrays import Array
 
 
 def load(path: Path, names: Sequence[str]) -> tuple[Lamps, str]:

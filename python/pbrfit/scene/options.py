@@ -12,14 +12,14 @@ from typing import Any, Literal, Self, get_args, get_origin, get_type_hints
 import numpy as np
 
 from pbrfit._core import InputError
-from pbrfit.checks import of_what, one_of, real_array
 from pbrfit.io import images
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.images import Orientation
 from pbrfit.io.normal_files import Convention
-from pbrfit.io.quoting import quoted
 from pbrfit.model import geometry
 from pbrfit.model.reflection import Model
+from pbrfit.values.checks import of_what, one_of, real_array
+from pbrfit.values.quoting import quoted
 
 Alpha = Literal["mask", "ignore"]
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
-from pbrfit.array_types import Array, Mask
+from pbrfit.values.arrays import Array, Mask
 
 
 @dataclass(frozen=True, eq=False)

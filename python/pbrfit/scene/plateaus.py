@@ -22,8 +22,8 @@ import math
 
 import numpy as np
 
-from pbrfit.array_types import Floats, Mask
 from pbrfit.io.limits import AT_LEAST, Limits
+from pbrfit.values.arrays import Floats, Mask
 
 CHANCE = 1e-6
 """Probability of a false alarm, of each of the 3 (N + 1) maxima that are looked at."""

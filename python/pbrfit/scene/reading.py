@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.address_space import left
-from pbrfit.array_types import Array, Codes, Mask
 from pbrfit.io import images
 from pbrfit.io.color import Place
 from pbrfit.io.depth_files import METRES, find_depth, read_depth
@@ -26,7 +25,6 @@ from pbrfit.io.input_files import there
 from pbrfit.io.lamp_files import find_lamps
 from pbrfit.io.limits import AT_LEAST
 from pbrfit.io.normal_files import MIN_NORMAL_LENGTH, UNCERTAINTY, find_normals, read_normals
-from pbrfit.io.quoting import listed, quoted, shown
 from pbrfit.io.resampling import at_centres, averaged, averaged_channels, reduced_size
 from pbrfit.io.weight_files import WEIGHT_FILE, read_weights, reduced
 from pbrfit.model import estimates as of_tools
@@ -62,6 +60,8 @@ from pbrfit.scene.folder import (
 from pbrfit.scene.options import AS_STATED, ReadOptions, Settings, Source
 from pbrfit.scene.plateaus import plateaus
 from pbrfit.threads import in_turn
+from pbrfit.values.arrays import Array, Codes, Mask
+from pbrfit.values.quoting import listed, quoted, shown
 
 log = logging.getLogger("pbrfit")
 

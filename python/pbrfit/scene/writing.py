@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.array_types import Codes, Floats
 from pbrfit.io import images
 from pbrfit.io.lamp_files import LAMP_FILES, write_lamps
 from pbrfit.io.normal_files import write_normals
@@ -21,6 +20,7 @@ from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import nearest_inside, write_materials
 from pbrfit.scene.arrays import SceneArrays, Truth, storable_ids
 from pbrfit.scene.folder import MAX_ID, SCENE_FOLDER, SEGMENT_FILE
+from pbrfit.values.arrays import Codes, Floats
 
 
 def save(scene: SceneArrays, path: Path, *, overwrite: bool = False) -> None:

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from pbrfit._core import InputError
-from pbrfit.array_types import Array
 from pbrfit.model.reflection import DEFAULT_MODEL, Model, checked_model, render
 from pbrfit.scene.arrays import Truth
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic.lights import random_lights
 from pbrfit.synthetic.scenes import draw
 from pbrfit.synthetic.world import RayCast, World
+from pbrfit.values.arrays import Array
 
 __all__ = ["MEAN_RADIANCE", "RayCast", "World", "draw", "gains", "make_scene", "random_lights"]
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Array
+from pbrfit.values.arrays import Array
 
 
 def rotation(axis: int, degrees: float) -> Array:

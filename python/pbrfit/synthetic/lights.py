@@ -17,8 +17,8 @@ import numpy as np
 from numpy.polynomial.legendre import poly2leg
 
 from pbrfit._core import InputError
-from pbrfit.array_types import Array
 from pbrfit.model.reflection import sh_basis
+from pbrfit.values.arrays import Array
 
 # Powers of u, lowest first, by order; every lobe is 1 at u = 1.
 SHARP = {

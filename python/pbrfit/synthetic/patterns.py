@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pbrfit.array_types import Array
+from pbrfit.values.arrays import Array
 
 Pattern = Callable[[Array], Array]
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pbrfit.array_types import Array
 from pbrfit.model.geometry import view_directions
 from pbrfit.synthetic.geometry import Box, Cylinder, Plane, Primitive, Sphere, rotation, trace
+from pbrfit.values.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pbrfit.array_types import Array, Mask
 from pbrfit.synthetic.patterns import (
     Pattern,
     checker,
@@ -18,6 +17,7 @@ from pbrfit.synthetic.patterns import (
     stripes,
     veins,
 )
+from pbrfit.values.arrays import Array, Mask
 
 
 @dataclass(frozen=True)

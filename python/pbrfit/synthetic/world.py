@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.array_types import Array
 from pbrfit.model.geometry import view_directions
 from pbrfit.model.materials import Materials
 from pbrfit.synthetic.geometry import Primitive, trace
 from pbrfit.synthetic.surfaces import Spots, Surface
+from pbrfit.values.arrays import Array
 
 
 @dataclass(frozen=True)

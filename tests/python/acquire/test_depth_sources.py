@@ -19,9 +19,8 @@ from pbrfit.acquire.marigold import aligned_mean
 from pbrfit.io import images
 from pbrfit.model import geometry
 from pbrfit.scene.depth import compared
+from pbrfit.values.arrays import Array
 from scene_files import known, world
-
-Array = NDArray[np.float64]
 
 SIZE = 64
 FOV = 60.0

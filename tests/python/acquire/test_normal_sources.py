@@ -15,7 +15,6 @@ from pbrfit._core import InputError
 from pbrfit.acquire.marigold import mean_and_spread
 from pbrfit.acquire.normals import Normals, estimate
 from pbrfit.acquire.photo import shown_to_network
-from pbrfit.array_types import Array, Floats
 from pbrfit.display.tone import encoded
 from pbrfit.io import images
 from pbrfit.io.normal_files import UNCERTAINTY, Convention, read_normals
@@ -23,6 +22,7 @@ from pbrfit.model.depth_normals import from_depth
 from pbrfit.model.geometry import angles_between, facing_away, view_directions
 from pbrfit.result.metrics import white_of
 from pbrfit.scene.scene import Scene
+from pbrfit.values.arrays import Array, Floats
 from scene_files import LIGHTS, SIZE, known, room, world, write_folder
 
 SIZES = [(97, 131), (131, 97), (64, 64)]

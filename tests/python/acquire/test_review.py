@@ -8,14 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from pbrfit import InputError
 from pbrfit.acquire.review import LOG_CHANGE_MIN, Reviewer, illumination
 from pbrfit.scene.scene import Scene
+from pbrfit.values.arrays import Array
 from pbrfit_evaluation.review.pictures import camera, damaged, relights
-
-Array = NDArray[np.float64]
 
 SIZE, COUNT = 256, 9
 

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from command_runs import done
 from pbrfit import Result, decompose
@@ -17,13 +16,12 @@ from pbrfit.export.displacement import FLAT, Displacement
 from pbrfit.export.view_mesh import camera
 from pbrfit.io import images
 from pbrfit.synthetic import make_scene
+from pbrfit.values.arrays import Array
 from reference import unit
 from relit import card
 from scene_files import known
 
 HEIGHT, WIDTH = 48, 64
-
-Array = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")

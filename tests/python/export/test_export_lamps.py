@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from PIL import Image
 
 from command_runs import done
@@ -24,10 +23,9 @@ from pbrfit.model import panorama
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.lighting import Lighting
 from pbrfit.result.metrics import rmse, white_of
+from pbrfit.values.arrays import Array
 from relit import ball
 from under_lamps import ball_under_lamps
-
-Array = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from pbrfit import Scene, decompose
 from pbrfit.fit import compare, settings
@@ -18,10 +17,9 @@ from pbrfit.io.color import Curve, decode_srgb, encode_srgb
 from pbrfit.result.refinement import FROM_PICTURES
 from pbrfit.result.verdict import FOV_CONTRADICTED
 from pbrfit.synthetic import make_scene
+from pbrfit.values.arrays import Array
 from planted_lamps import far, planted, setup, without_colors
 from scene_files import known
-
-Array = NDArray[np.float64]
 
 SH = Explanation(None, "sh", 0.0, "none")
 LAMPS = replace(SH, light="lamps")

@@ -7,15 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from pbrfit import Materials, Scene, decompose
 from pbrfit.fit.independent_lights import Shown
 from pbrfit.result.verdict import PARAMETERS, USABLE_ERROR, levels
 from pbrfit.synthetic import make_scene
+from pbrfit.values.arrays import Array
 from scene_files import known, truth_of
 
-Array = NDArray[np.float64]
 Draw = Callable[[Array, np.random.Generator], Array]
 
 

@@ -7,16 +7,14 @@ import functools
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from pbrfit import Objective, Priors, Scene
 from pbrfit.fit.gradient_check import check_gradients
 from pbrfit.fit.priors.penalties import Penalty
 from pbrfit.model.reflection import MODELS, Model
 from pbrfit.synthetic import make_scene
+from pbrfit.values.arrays import Array
 from scene_kinds import ALL_KINDS, of_kind
-
-Array = NDArray[np.float64]
 
 PRIORS = Priors(material=1.0, cohesion=0.7, smoothness=0.3, sparsity=0.2, monochrome=0.5)
 

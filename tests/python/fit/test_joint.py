@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import pbrfit
 from pbrfit import Objective, Scene
@@ -18,10 +17,9 @@ from pbrfit.fit.normal_equations import as_in_x
 from pbrfit.fit.pixels import fit_all, place, retry_outliers, taken
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.synthetic import make_scene
+from pbrfit.values.arrays import Array
 from scene_files import known
 from scene_kinds import FREE_LIGHTS, all_pixels, at_truth, objective_of, sum_sq_at
-
-Array = NDArray[np.float64]
 
 EXACT = 1e-7
 """Root mean square of residuals where pictures are rounded to float32, at mean radiance 0.4."""

@@ -13,9 +13,8 @@ from pbrfit.fit import misfit, settings
 from pbrfit.fit.coarse import judged
 from pbrfit.fit.misfit import Misfit
 from pbrfit.synthetic import make_scene
+from pbrfit.values.arrays import Array
 from scene_kinds import at_truth
-
-Array = NDArray[np.float64]
 
 NOISE = 0.01
 

@@ -20,7 +20,6 @@ from pbrfit.synthetic import make_scene
 from scene_files import known, lights_of, truth_of
 from scene_kinds import KINDS, all_pixels, of_kind
 
-Array = NDArray[np.float64]
 Pixels = NDArray[np.uint64]
 
 

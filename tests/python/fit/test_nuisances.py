@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from pbrfit import Objective, Result, Scene, decompose
 from pbrfit.fit import settings
@@ -24,11 +23,10 @@ from pbrfit.result.camera import Camera
 from pbrfit.result.options import Response
 from pbrfit.scene.correction import Correction
 from pbrfit.synthetic import make_scene
+from pbrfit.values.arrays import Array
 from result_files import CONTRADICTED
 from scene_files import known
 from scene_kinds import at_truth
-
-Array = NDArray[np.float64]
 
 FAST: dict[str, Any] = {"uncertainty": False, "threads": 1, "light": "sh"}
 

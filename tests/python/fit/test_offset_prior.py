@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 from pbrfit.fit.normals.prior import Neighbourhood, TangentOffsetPrior
 from pbrfit.fit.sampling import pixel_index
 from pbrfit.fit.settings import NORMALS_OFFSET_SIGMA_ALONE, NORMALS_OFFSET_SIGMA_RANGE
+from pbrfit.values.arrays import Array
 from scene_kinds import holed
-
-Array = NDArray[np.float64]
 
 VARIANCE = 0.7
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from pbrfit import Objective, Scene
 from pbrfit.fit import discrepancy, uncertainty
@@ -12,10 +11,9 @@ from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.pixels import fit_all
 from pbrfit.fit.preconditioner import preconditioner
 from pbrfit.synthetic import make_scene
+from pbrfit.values.arrays import Array
 from scene_files import known
 from scene_kinds import all_pixels
-
-Array = NDArray[np.float64]
 
 PICTURES = 20
 each_light = pytest.mark.parametrize("mono", [False, True])

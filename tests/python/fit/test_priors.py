@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import pbrfit
 import scene_kinds
@@ -20,9 +19,8 @@ from pbrfit.fit.priors.penalties import penalties, tied_neighbours
 from pbrfit.result.options import Priors, prior_names
 from pbrfit.scene.arrays import consecutive_labels
 from pbrfit.synthetic import make_scene
+from pbrfit.values.arrays import Array
 from scene_files import known, lights_of, truth_of
-
-Array = NDArray[np.float64]
 
 ALL = Priors(material=1.0, cohesion=0.7, smoothness=0.3, sparsity=0.2, monochrome=0.5)
 

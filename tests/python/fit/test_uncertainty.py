@@ -20,11 +20,10 @@ from pbrfit.fit.settings import MEAN_RADIANCE, SAMPLE_USES, SIGMA_MAX
 from pbrfit.result.uncertainty import Uncertainty, layer_names
 from pbrfit.result.verdict import PARAMETERS
 from pbrfit.synthetic import make_scene
+from pbrfit.values.arrays import Array
 from result_files import layers_of
 from scene_files import known, truth_of
 from scene_kinds import at_truth
-
-Array = NDArray[np.float64]
 
 
 def scene_and_x(**options: Any) -> tuple[pbrfit.Scene, Objective, Array]:

@@ -8,16 +8,14 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import reference
 from pbrfit import InputError, Materials, _core
 from pbrfit.model.reflection import MODELS, Model, render_directional, sh_basis
+from pbrfit.values.arrays import Array
 from pbrfit_evaluation.gap.brute_force import respond
 from pbrfit_evaluation.gap.brute_force import view as seen_at
 from reference import frames, unit
-
-Array = NDArray[np.float64]
 
 UP = np.array([0.0, 0.0, 1.0])
 WHITE = np.ones(3)

@@ -6,15 +6,13 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from test_directional import UP, WHITE, lights_over, reflected, reflected_of_uniform, under_all
 
 from pbrfit.model.reflection import sh_basis, shade
+from pbrfit.values.arrays import Array
 from pbrfit_evaluation.gap.brute_force import view as seen_at
 from principled_reference import Lights, lobe, mean_reflectance, multiple_scattering, schlick
 from reference import frames, glass, unit
-
-Array = NDArray[np.float64]
 
 ALBEDO = np.array([0.9, 0.5, 0.1])
 TABLE = 2e-5

@@ -10,14 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from pbrfit import _core
 from pbrfit.model.reflection import sh_basis
+from pbrfit.values.arrays import Array
 from principled_reference import EVEN, ORDER
 from reference import glass
-
-Array = NDArray[np.float64]
 
 COUNT = 22
 """Functions: ten a_j, ten b_j, Ebar and kappa."""

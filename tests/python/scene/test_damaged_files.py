@@ -23,13 +23,13 @@ from pbrfit import InputError, Result, Scene, decompose
 from pbrfit.acquire.prompts import read_prompts
 from pbrfit.io import images
 from pbrfit.io.images import read_stored
-from pbrfit.io.quoting import listed, quoted, shown
 from pbrfit.model.depth_normals import from_depth
 from pbrfit.model.lighting import BASIS, Lighting
 from pbrfit.model.materials import read_materials
 from pbrfit.result.history import History
 from pbrfit.scene import folder as scene_folder
 from pbrfit.synthetic import make_scene
+from pbrfit.values.quoting import listed, quoted, shown
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 DEEP = "[" * 100_000

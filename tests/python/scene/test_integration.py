@@ -13,8 +13,7 @@ from pbrfit.model import geometry
 from pbrfit.model.depth_normals import from_depth
 from pbrfit.model.geometry import angles_between
 from pbrfit.scene.integration import depth_from_normals
-
-Array = NDArray[np.float64]
+from pbrfit.values.arrays import Array
 
 SIZE = 96
 FOV = 50.0

@@ -15,10 +15,10 @@ from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import RayCast, draw, make_scene, random_lights
 from pbrfit.synthetic.geometry import Box, Cylinder, Plane, Sphere, trace
 from pbrfit.synthetic.scenes import ADDED_KINDS
+from pbrfit.values.arrays import Array
 from pbrfit_evaluation.rooms.parts import Frustum
 from scene_files import held_out_of, known, lights_of, truth_of
 
-Array = NDArray[np.float64]
 KINDS: tuple[str, ...] = ("room", "spheres", "textured")
 ALL_KINDS = (*KINDS, *ADDED_KINDS)
 ORIGIN = np.zeros(3)

@@ -17,10 +17,9 @@ from pbrfit.model.reflection import MODELS, Model, render
 from pbrfit.synthetic.geometry import Box, Plane, rotation
 from pbrfit.transport.decision import Transport
 from pbrfit.transport.scenery import RAYS, Scenery
+from pbrfit.values.arrays import Array
 from scene_files import known
 from small_worlds import Seen, box_room, look
-
-Array = NDArray[np.float64]
 
 both_models = pytest.mark.parametrize("model", MODELS)
 UNIFORM = np.zeros((1, 16, 3))

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 from pbrfit._core import InputError
 from pbrfit.acquire.photo import Photo
 from pbrfit.acquire.prompts import Catalogue
-from pbrfit.array_types import Codes
+from pbrfit.values.arrays import Codes
 
 RETRY_STEP = 1000
 """Between the seeds of a request's attempts; so many requests have seeds of their own."""

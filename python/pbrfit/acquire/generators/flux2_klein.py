@@ -23,7 +23,7 @@ from pbrfit.acquire import padding, weights
 from pbrfit.acquire.generators import Generated, Request, requests_from
 from pbrfit.acquire.photo import Photo
 from pbrfit.acquire.prompts import Catalogue
-from pbrfit.checks import finite
+from pbrfit.values.checks import finite
 
 MODEL = "black-forest-labs/FLUX.2-klein-base-4B"
 """The base checkpoint under Apache-2.0; FLUX.2-klein-4B is distilled from it."""

@@ -21,10 +21,10 @@ from pbrfit.acquire.padding import GPT_IMAGE_2, Frame, frame, read_srgb8, resize
 from pbrfit.acquire.photo import Photo
 from pbrfit.acquire.prompts import Catalogue
 from pbrfit.acquire.weights import need
-from pbrfit.array_types import Codes
-from pbrfit.checks import one_of
 from pbrfit.io import images
-from pbrfit.io.quoting import listed, shown
+from pbrfit.values.arrays import Codes
+from pbrfit.values.checks import one_of
+from pbrfit.values.quoting import listed, shown
 
 if TYPE_CHECKING:
     import openai

@@ -31,10 +31,10 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.acquire.review import illumination, structure
-from pbrfit.array_types import Array, Mask
 from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.registration import alignment
 from pbrfit.threads import one_blas_thread
+from pbrfit.values.arrays import Array, Mask
 
 USABLE_SHARE_MIN = 0.2
 """Share of pixels that are neither clipped nor black, below which a picture is refused."""

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Array, Mask
+from pbrfit.values.arrays import Array, Mask
 
 SIDE = 128
 """Longer side at which this is done, in pixels."""

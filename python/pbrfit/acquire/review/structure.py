@@ -25,9 +25,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Array, Mask
 from pbrfit.io.resampling import averaged
 from pbrfit.registration.alignment import gradient
+from pbrfit.values.arrays import Array, Mask
 
 _FLOOR = 0.02  # ε, of white
 _NOISE = 0.02  # s₀, gradient of a logarithm

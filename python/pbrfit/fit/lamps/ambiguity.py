@@ -26,13 +26,13 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit
 
-from pbrfit.array_types import Array
 from pbrfit.fit.lamps.integrability import Integrability, equations
 from pbrfit.fit.lamps.photometric import PseudoNormals
 from pbrfit.fit.lamps.sample_noise import RELATIVE_MIN
 from pbrfit.fit.lamps.samples import BAS_RELIEF, Samples, blocks_of, some_of
 from pbrfit.fit.sampling import pixel_index
 from pbrfit.scene.outline import Outline
+from pbrfit.values.arrays import Array
 
 KNOWN_MIN = 0.05
 """Least part of a pixel's information, in the direction it says least of, of the median pixel's,

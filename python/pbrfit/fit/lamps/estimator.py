@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.array_types import Array, Mask
 from pbrfit.fit.independent_lights import Shown
 from pbrfit.fit.lamps import scale as scale_of_lamps
 from pbrfit.fit.lamps import surfaces
@@ -69,6 +68,7 @@ from pbrfit.result.verdict import by_deviations
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import AT_ONCE_MAX, in_pieces, one_blas_thread, processors
 from pbrfit.transport.scenery import Scenery
+from pbrfit.values.arrays import Array, Mask
 
 log = logging.getLogger("pbrfit")
 

@@ -18,13 +18,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from pbrfit.array_types import Array, Mask
 from pbrfit.fit.lamps.joint import ALBEDO_MEAN
 from pbrfit.fit.lamps.photometric import DARK
 from pbrfit.fit.lamps.problem import LampPixels
 from pbrfit.fit.lamps.samples import grey_samples
 from pbrfit.fit.sampling import evenly_spaced
 from pbrfit.model.lamps import Lamps
+from pbrfit.values.arrays import Array, Mask
 
 OUTSIDE = 0.3
 """How far beyond what is seen lamps are sought, of its size; behind the camera as far as the median

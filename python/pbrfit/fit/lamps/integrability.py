@@ -39,8 +39,8 @@ import scipy.linalg
 from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion, gaussian_filter
 
-from pbrfit.array_types import Array, Mask
 from pbrfit.fit.lamps.samples import some_of
+from pbrfit.values.arrays import Array, Mask
 
 SMOOTHING = 1.0
 """Standard deviation in pixels of the mean that b is taken over before it is differentiated: the

@@ -30,12 +30,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Array
 from pbrfit.fit.lamps.problem import LampPixels, LampState, by_place, surface_of, tangents
 from pbrfit.fit.lamps.sample_noise import NOISE_MIN, Noise
 from pbrfit.fit.lamps.samples import BAS_RELIEF
 from pbrfit.fit.settings import MEAN_RADIANCE, PRIOR_ROUGHNESS_NODES
 from pbrfit.model.lamps import Lamps
+from pbrfit.values.arrays import Array
 
 if TYPE_CHECKING:
     from pbrfit.fit.lamps.ambiguity import Relief

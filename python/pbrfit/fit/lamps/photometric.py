@@ -35,11 +35,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Array, Mask
 from pbrfit.fit.lamps.samples import Pixels, some_of
 from pbrfit.fit.sampling import slices
 from pbrfit.fit.settings import PIXELS_AT_ONCE
 from pbrfit.threads import in_pieces
+from pbrfit.values.arrays import Array, Mask
 
 TRIPLES_MAX = 48
 """Triples of samples that a pixel's start is chosen from. If 40 % of the samples follow the law,

@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 
 from pbrfit import _core
-from pbrfit.array_types import Array
 from pbrfit.fit.lamps.problem import LampPixels, LampState, by_place, radiance, surface_of
 from pbrfit.fit.lamps.samples import MATT_PIXELS
 from pbrfit.fit.sampling import evenly_spaced
@@ -20,6 +19,7 @@ from pbrfit.fit.settings import MEAN_RADIANCE
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.lighting import spread_directions
 from pbrfit.model.reflection import Model
+from pbrfit.values.arrays import Array
 
 
 def light_of_picture(

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import _core
-from pbrfit.array_types import Array, Codes, Mask
 from pbrfit.fit.noise import satisfied
 from pbrfit.fit.sampling import slices
 from pbrfit.fit.settings import MEAN_RADIANCE, PIXELS_AT_ONCE
@@ -28,6 +27,7 @@ from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import Model
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import in_pieces
+from pbrfit.values.arrays import Array, Codes, Mask
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,9 +27,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Array, Mask
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance, surface_of
 from pbrfit.fit.settings import MEAN_RADIANCE
+from pbrfit.values.arrays import Array, Mask
 
 NOISE_MIN = 1e-4
 """Least σ, in units where the mean radiance is 0.4: below what 8 bits or float16 can tell."""

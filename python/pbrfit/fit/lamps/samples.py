@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.array_types import Array, Floats, Mask
 from pbrfit.fit.sampling import placed, slices
 from pbrfit.fit.settings import COMPARE_PATCHES, PIXELS_AT_ONCE
 from pbrfit.threads import in_pieces
+from pbrfit.values.arrays import Array, Floats, Mask
 
 Pixels = slice | NDArray[np.intp]
 Pictures = NDArray[Any] | Sequence[NDArray[Any]]

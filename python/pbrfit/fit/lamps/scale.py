@@ -28,12 +28,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pbrfit.array_types import Array, Mask
 from pbrfit.fit import settings
 from pbrfit.fit.lamps.joint import ALBEDO_SPREAD, JointLamps
 from pbrfit.fit.lamps.samples import blocks_of
 from pbrfit.fit.lamps.surfaces import STEPS, Band
 from pbrfit.fit.scale import reference_in_words, reference_region
+from pbrfit.values.arrays import Array, Mask
 
 SURROUNDINGS = 8
 """Rows and columns on each side of a reference that are fitted with it: what judges shadows and

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Array, Mask
 from pbrfit.fit.lamps.samples import FirstShape
 from pbrfit.scene.arrays import every_channel
 from pbrfit.scene.integration import depth_from_normals
 from pbrfit.scene.scene import Scene
+from pbrfit.values.arrays import Array, Mask
 
 FOV_MEAN, FOV_SPREAD, FOV_MAX = 10.0, 12.0, 75.0
 """Degrees of what is likely before: who takes pictures of an object stands back, and cuts out what

@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 
 from pbrfit._core import InputError
-from pbrfit.array_types import Array, Mask
 from pbrfit.fit.lamps.ambiguity import Minimum, Places, Relief, minima, unit_and_length
 from pbrfit.fit.lamps.photometric import DARK, Factors, factors, pseudo_normals
 from pbrfit.fit.lamps.samples import MATT_PIXELS, FirstShape, Pictures, Samples, some_of
@@ -20,6 +19,7 @@ from pbrfit.fit.lamps.surface import finished, strengths_along
 from pbrfit.fit.settings import COMPARE_PIXELS_MIN
 from pbrfit.model.geometry import angles_between
 from pbrfit.scene.outline import outline, rough_shape
+from pbrfit.values.arrays import Array, Mask
 
 EQUALLY_LIKELY = 3.0
 """Difference of the negative log likelihood below which two minima are told to be undecided: odds

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from pbrfit.array_types import Array
 from pbrfit.fit.lamps.ambiguity import KNOWN_MIN, unit_and_length
 from pbrfit.fit.lamps.photometric import PseudoNormals
 from pbrfit.fit.lamps.samples import FirstShape, Pixels, Samples, some_of
@@ -17,6 +16,7 @@ from pbrfit.fit.sampling import slices
 from pbrfit.fit.settings import PIXELS_AT_ONCE
 from pbrfit.model.materials import nearest_inside
 from pbrfit.threads import in_pieces
+from pbrfit.values.arrays import Array
 
 
 def finished(

@@ -24,7 +24,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Array, Mask
 from pbrfit.fit.lamps.joint import (
     UNKNOWNS,
     Freedom,
@@ -37,6 +36,7 @@ from pbrfit.fit.lamps.problem import LampPixels, LampState, by_pieces, radiance,
 from pbrfit.fit.lamps.sample_noise import Noise, kept_and_judged, probability, seen_error
 from pbrfit.fit.pixels import NEIGHBOURS
 from pbrfit.fit.sampling import beside
+from pbrfit.values.arrays import Array, Mask
 
 STEPS = 12
 """Of each pixel in a round."""

@@ -35,7 +35,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Array
 from pbrfit.fit import settings
 from pbrfit.fit.levels import Level
 from pbrfit.fit.misfit import variance
@@ -45,6 +44,7 @@ from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.mixture import prior_at
 from pbrfit.fit.priors.posterior import PURE_NODES
 from pbrfit.fit.sampling import pairs_apart
+from pbrfit.values.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pbrfit.array_types import Array
 from pbrfit.fit import settings
 from pbrfit.fit.coarse import Lights, rounds
 from pbrfit.fit.discrepancy import light_modes
@@ -45,6 +44,7 @@ from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.run import Run, State
 from pbrfit.fit.sampling import pixel_index
 from pbrfit.scene.scene import Scene
+from pbrfit.values.arrays import Array
 
 OUT_OF_TIME = "the time limit came first"
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Array
 from pbrfit.fit.settings import OFFSET_PRECISION_SHARE
 from pbrfit.lazy import lazy
+from pbrfit.values.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

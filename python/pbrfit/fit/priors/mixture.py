@@ -41,7 +41,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pbrfit.array_types import Array, Floats
 from pbrfit.fit import settings
 from pbrfit.fit.joint import JointFit, SharedFit, minimize
 from pbrfit.fit.normal_equations import albedo_solved_for
@@ -49,6 +48,7 @@ from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.posterior import Distributions, Grid, Pooling, Posterior, Stop, labels_of
 from pbrfit.fit.sampling import evenly_spaced_over
+from pbrfit.values.arrays import Array, Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,11 +9,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Array
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.sampling import pairs_apart, pixel_index
 from pbrfit.fit.settings import GREY_WEIGHT, NEAR_GREY
 from pbrfit.result.options import Priors
+from pbrfit.values.arrays import Array
 
 SMOOTHNESS_STEP = 0.01
 """Share of the picture's side over which differences of neighbours are taken; see `smoothness`."""

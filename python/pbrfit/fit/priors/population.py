@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Floats
+from pbrfit.values.arrays import Floats
 
 METAL_SHARE, MIXED_SHARE = 0.2, 0.08
 """Share of surfaces of bare metal, and between it and dielectric: rust, dust, edges in a pixel."""

@@ -26,7 +26,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.array_types import Array, Floats
 from pbrfit.fit import settings
 from pbrfit.fit.estimates import evidence
 from pbrfit.fit.objective import Objective
@@ -35,6 +34,7 @@ from pbrfit.fit.priors.population import population
 from pbrfit.fit.sampling import slices
 from pbrfit.lazy import lazy
 from pbrfit.threads import in_pieces
+from pbrfit.values.arrays import Array, Floats
 
 Pixels = NDArray[np.uint64]
 Labels = NDArray[np.intp]

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from pbrfit.array_types import Array
 from pbrfit.model.reflection import render, render_directional
 from pbrfit.report.lights import LUMINANCE
 from pbrfit.report.viewer.maps import Maps, of_result
 from pbrfit.result import metrics
 from pbrfit.result.relighting import DirectionalLight
 from pbrfit.result.result import Result
+from pbrfit.values.arrays import Array
 
 LAMP = DirectionalLight(-35.0, 35.0)
 """Where the lamp is at first: beside the viewer, from the upper left."""

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import lobe_table
-from pbrfit.array_types import Array, Mask
 from pbrfit.model.geometry import view_directions
 from pbrfit.model.materials import Materials
 from pbrfit.report.html import in_base64
 from pbrfit.report.raster import reduced
 from pbrfit.result.result import Result
+from pbrfit.values.arrays import Array, Mask
 
 
 @dataclass(frozen=True)

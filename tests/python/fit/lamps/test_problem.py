@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from pbrfit.fit.lamps import scale
 from pbrfit.fit.lamps.joint import ALBEDO_SPREAD, Freedom, JointLamps, SurfacePrior, minimize
@@ -15,9 +14,8 @@ from pbrfit.fit.lamps.sample_noise import Noise
 from pbrfit.fit.lamps.surfaces import deviations
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import MODELS, Model
+from pbrfit.values.arrays import Array
 from reference import unit
-
-Array = NDArray[np.float64]
 
 PIXELS, PICTURES = 6, 3
 STEP = 1e-6

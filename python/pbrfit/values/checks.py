@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.array_types import Array
-from pbrfit.io.quoting import quoted
+from pbrfit.values.arrays import Array
+from pbrfit.values.quoting import quoted
 
 REAL = "buif"
 """Kinds of numpy's types that hold real numbers."""
