@@ -51,10 +51,6 @@ CUT = 0.2
 FACING_MIN = 0.05
 """n·v, 87 degrees: what pixels show of steeper surfaces is less than half a pixel's own."""
 
-SQUARE_ON = np.radians(20)
-"""Standard deviation of the angle from the camera's axis to the mean normal of what is seen: people
-stand before what they picture, and hardly ever more than twice as much aside."""
-
 BEHIND = 0.1
 """Cosine of the angle to the camera's axis: how far lamps may be behind the picture's plane before
 they cost as much as a deviation from a cue's own spread."""
@@ -257,14 +253,6 @@ def visible_cost(normals: Array, places: Places) -> tuple[float, Array]:
     return share * float(np.logaddexp(0.0, away).sum()), push[:, None] * places.views
 
 
-def square_on_cost(normals: Array) -> tuple[float, Array]:
-    """Of the mean normal, one observation: it faces the camera. As `outline_cost`."""
-    mean, length = unit_and_length(normals.mean(axis=0))
-    axis, weight = np.array([0.0, 0.0, 1.0]), SQUARE_ON**-2
-    slope = (mean[2] * mean - axis) * weight / (length * len(normals))
-    return weight * float(1 - mean[2]), slope
-
-
 def front_cost(directions: Array) -> tuple[float, Array]:
     """Of each lamp: it stands in front of the picture's plane, if only just."""
     behind = -directions[:, 2] / BEHIND
@@ -304,11 +292,9 @@ class Minimum:
         of_albedo, by_albedo = albedo_cost(albedo, places)
         of_strengths, by_strengths = strength_cost(strengths)
         of_visible, by_visible = visible_cost(normals, places)
-        of_mean, by_mean = square_on_cost(normals)
         of_front, by_front = front_cost(directions)
-        cost = of_surface + of_albedo + of_strengths + of_visible + of_mean + of_front
-        by_normals = by_visible + by_mean
-        by_inverse = places.vectors.T @ _by_vectors(normals, albedo, by_normals, by_albedo)
+        cost = of_surface + of_albedo + of_strengths + of_visible + of_front
+        by_inverse = places.vectors.T @ _by_vectors(normals, albedo, by_visible, by_albedo)
         by_lamps = places.lamps.T @ _by_vectors(directions, strengths, by_front, by_strengths)
         if len(places.outline_vectors):
             at_edge, length = unit_and_length(sign * places.outline_vectors @ inverse)
