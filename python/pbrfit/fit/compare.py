@@ -30,7 +30,7 @@ from pbrfit.fit import settings
 from pbrfit.fit.coarse import Lights
 from pbrfit.fit.estimator import fit_materials, lights_and_noise
 from pbrfit.fit.given import Contradiction, contradiction
-from pbrfit.fit.lamps.estimator import LOOK_LAST, Found, LampFit, settled
+from pbrfit.fit.lamps.estimator import LOOK_LAST, Found, LampFit
 from pbrfit.fit.lamps.picture_light import light_of_picture
 from pbrfit.fit.lamps.samples import FirstShape
 from pbrfit.fit.lamps.shape import first_shape
@@ -140,7 +140,7 @@ class _Comparison:
             self._few = replace(self._few, mask=valid)
         if told or setup.options.iterations == 0 or few:
             self._folds = []
-        self._shapes: dict[tuple[Curve | None, int], tuple[Scene, FirstShape]] = {}
+        self._shapes: dict[tuple[Curve | None, int], tuple[Scene, LampFit]] = {}
         self._tried: dict[Explanation, list[LeftOut]] = {}
         self._lit: dict[tuple[Explanation, int], tuple[Run, Lights]] = {}
         self._normals: dict[tuple[Explanation, int], refined_fit.Found] = {}
@@ -184,12 +184,15 @@ class _Comparison:
         if other_fov is None and self._may_refine(best.explanation):
             self._try_all(replace(best.explanation, free_normals=True), best)
             best = self._simplest()
-        full = replace(best.explanation, material=strength, robust=loss)
-        for kind in (full, replace(full, material=plain.material)):
-            # Priors and weights may do what other normals did.
-            held = replace(kind, free_normals=False)
-            for one in dict.fromkeys((held, kind)) if kind.light == "sh" else ():
-                self._try_all(one, best)
+        # Lamps have both already. Priors and weights may do what other normals did.
+        errors = settings.COMPARE_ERRORS_MIN
+        by_harmonics = [one for one in self._lasting() if one.explanation.light == "sh"]
+        likely = min(by_harmonics, key=SCORE, default=best)
+        if not likely.is_worse(best, errors) and by_harmonics:
+            full = replace(likely.explanation, material=strength, robust=loss)
+            for kind in (full, replace(full, material=plain.material)):
+                for one in dict.fromkeys((replace(kind, free_normals=False), kind)):
+                    self._try_all(one, best)
         best = self._simplest()
         return self._choice(best, best.explanation, None if other_fov is None else other_fov.fov)
 
@@ -349,10 +352,14 @@ class _Comparison:
             return [asked]
         return [scene.response, "linear" if scene.response == "srgb" else "srgb"]
 
+    def _lasting(self) -> list[LeftOut]:
+        """What was tried in as many folds as anything was."""
+        most = max(len(folds) for folds in self._tried.values())
+        return [one for one in self._results() if len(self._tried[one.explanation]) == most]
+
     def _simplest(self) -> LeftOut:
         """The best, or the simplest under the same kind of light that is not surely worse."""
-        most = max(len(folds) for folds in self._tried.values())
-        results = [one for one in self._results() if len(self._tried[one.explanation]) == most]
+        results = self._lasting()
         best = min(results, key=SCORE)
         kind, errors = best.explanation, settings.COMPARE_ERRORS_MIN
         said = self._scene.response
@@ -456,9 +463,9 @@ class _Comparison:
     def _of_fold(self, kind: Explanation, fold: int) -> LeftOut:
         kept, out = self._folds[fold]
         scene = self._few if kind.response is None else self._few.decoded_by(kind.response)
-        few, shape = self._pixels(scene, kept, kind.response, fold)
+        few, told = self._pixels(scene, kept, kind.response, fold)
         if kind.light == "lamps":
-            fit = self._under_lamps(few.of_pictures(kept), shape)
+            fit = self._under_lamps(told or self._lamp_fit(few.of_pictures(kept)))
         else:
             fit = self._under_harmonics(kind, fold, few.of_pictures(kept), self._among(kind, kept))
         errors, values, rounding, lamps = [], [], [], []
@@ -518,8 +525,8 @@ class _Comparison:
 
     def _pixels(
         self, scene: Scene, kept: Sequence[int], response: Curve | None, number: int
-    ) -> tuple[Scene, FirstShape | None]:
-        """The pixels that are compared, of all pictures, and the shape that some tell."""
+    ) -> tuple[Scene, LampFit | None]:
+        """The pixels that are compared, of all pictures, and the fit that has told their shape."""
         if self._scene.normals_known:
             return scene, None
         if (response, number) not in self._shapes:
@@ -530,8 +537,8 @@ class _Comparison:
             window = strided_window(known.valid, settings.COMPARE_PIXELS)
             few, normals, albedo = cut(known, window), window.of(facing), window.of(shape.albedo)
             shape = replace(shape, normals=normals, albedo=albedo)
-            shape = settled(few.of_pictures(kept), self._setup_with(), shape)
-            self._shapes[response, number] = replace(few, normals=shape.normals), shape
+            fit = self._lamp_fit(few.of_pictures(kept), shape)
+            self._shapes[response, number] = replace(few, normals=fit.settled.normals), fit
         return self._shapes[response, number]
 
     def _setup_with(self, **options: Any) -> FitSetup:
@@ -609,8 +616,10 @@ class _Comparison:
         run = run.continued(run.scene, copy(run.objective), options=setup.options)
         return run, replace(lights, x=lights.x.copy(), shared=copy(lights.shared))
 
-    def _under_lamps(self, scene: Scene, shape: FirstShape | None) -> _Fitted:
-        fit = LampFit(scene, self._setup_with(), shape, rounds=LOOK_LAST)
+    def _lamp_fit(self, scene: Scene, shape: FirstShape | None = None) -> LampFit:
+        return LampFit(scene, self._setup_with(), shape, rounds=LOOK_LAST)
+
+    def _under_lamps(self, fit: LampFit) -> _Fitted:
         pixels, state, found = fit.of_all_pixels()
         return _Fitted(
             (state.albedo, state.roughness, state.metallic),

@@ -118,7 +118,7 @@ def decompose(
     importlib.import_module("scipy.optimize")
     address_space.reserve_blas()
     from pbrfit.fit import compare, estimates
-    from pbrfit.fit.lamps.estimator import check_light, fit_lamps, settled
+    from pbrfit.fit.lamps.estimator import LOOK_LAST, LampFit, check_light, fit_lamps
     from pbrfit.fit.lamps.shape import first_shape, height_of
 
     setup = FitSetup(options, threads, progress or None, time.perf_counter())
@@ -155,7 +155,8 @@ def decompose(
         with trace.stage("photometric stereo"):
             start_shape = first_shape(scene, threads)
             if how.light == "sh":
-                start_shape = settled(scene, setup, start_shape)
+                silent = replace(setup, progress=None)
+                start_shape = LampFit(scene, silent, start_shape, rounds=LOOK_LAST).settled
         for said in start_shape.undetermined:
             log.warning("normals: %s", said)
     priors = replace(setup.options.priors, material=how.material)

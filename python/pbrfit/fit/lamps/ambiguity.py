@@ -51,6 +51,10 @@ CUT = 0.2
 FACING_MIN = 0.05
 """n·v, 87 degrees: what pixels show of steeper surfaces is less than half a pixel's own."""
 
+SQUARE_ON = np.radians(20.0)
+"""Standard deviation of the angle between the mean normal and the camera's axis: who takes pictures
+of a thing stands in front of it."""
+
 BEHIND = 0.1
 """Cosine of the angle to the camera's axis: how far lamps may be behind the picture's plane before
 they cost as much as a deviation from a cue's own spread."""
@@ -253,6 +257,14 @@ def visible_cost(normals: Array, places: Places) -> tuple[float, Array]:
     return share * float(np.logaddexp(0.0, away).sum()), push[:, None] * places.views
 
 
+def square_on_cost(normals: Array) -> tuple[float, Array]:
+    """Of all pixels as one observation: their mean normal faces the camera."""
+    mean, length = unit_and_length(normals.mean(axis=0))
+    axis = np.array([0.0, 0.0, 1.0])
+    push = -(axis - mean[2] * mean) / (length * len(normals) * SQUARE_ON**2)
+    return (1 - float(mean[2])) / SQUARE_ON**2, np.broadcast_to(push, normals.shape)
+
+
 def front_cost(directions: Array) -> tuple[float, Array]:
     """Of each lamp: it stands in front of the picture's plane, if only just."""
     behind = -directions[:, 2] / BEHIND
@@ -293,7 +305,9 @@ class Minimum:
         of_strengths, by_strengths = strength_cost(strengths)
         of_visible, by_visible = visible_cost(normals, places)
         of_front, by_front = front_cost(directions)
-        cost = of_surface + of_albedo + of_strengths + of_visible + of_front
+        of_mean, by_mean = square_on_cost(normals)
+        by_visible = by_visible + by_mean
+        cost = of_surface + of_albedo + of_strengths + of_visible + of_front + of_mean
         by_inverse = places.vectors.T @ _by_vectors(normals, albedo, by_visible, by_albedo)
         by_lamps = places.lamps.T @ _by_vectors(directions, strengths, by_front, by_strengths)
         if len(places.outline_vectors):

@@ -208,11 +208,31 @@ class LampFit:
             notes.append(self._said(name, fit))
         return fit
 
+    @lazy
+    def of_few(self) -> JointLamps:
+        """The joint fit of as many pixels as find lamps, of eight numbers each."""
+        places = self.scene.places
+        return self.joint(np.asarray(places[evenly_spaced(len(places), 250).astype(np.intp)]))
+
+    @property
+    def settled(self) -> FirstShape:
+        """The start, with the bas-relief that the fit of few pixels finds, if one is open."""
+        assert self.start is not None
+        if self.relief is None:
+            return self.start
+        lamps, matrix = self.of_few.state.lamps, self.of_few.matrix
+        return replace(
+            self.start,
+            normals=turned(np.asarray(self.start.normals), matrix),
+            directions=lamps.places,
+            strengths=lamps.colors,
+            relief=None,
+        )
+
     def of_all_pixels(self) -> tuple[LampPixels, LampState, Found]:
         """All pixels of a small scene, fitted together and then each by itself."""
-        scene = self.scene
-        fit = self.joint(some_places(scene))
-        [band] = self._surfaces(fit, scene.valid)
+        fit = self.of_few
+        [band] = self._surfaces(fit, self.scene.valid)
         pixels = self._pixels(fit.matrix, like=fit.pixels)
         lamps = replace(fit.state.lamps, colors=fit.state.lamps.colors * fit.pixels.scale)
         roughness = {
@@ -792,25 +812,6 @@ def check_light(scene: Scene, setup: FitSetup) -> None:
         raise InputError("light: expected unknown light for lamps, found known SH light")
     if scene.lamps is not None and scene.lamps.near.any() and scene.depth is None:
         raise InputError("lamps: expected depth for near lamps, found none")
-
-
-def some_places(scene: Scene) -> NDArray[np.intp]:
-    """As many of a scene's places as find lamps, of eight numbers each, for a comparison."""
-    places = scene.places
-    return np.asarray(places[evenly_spaced(len(places), 250).astype(np.intp)])
-
-
-@one_blas_thread()
-def settled(scene: Scene, setup: FitSetup, start: FirstShape) -> FirstShape:
-    """The start, with the bas-relief that a joint fit of few pixels finds, if one is open."""
-    if start.relief is None:
-        return start
-    fit = LampFit(scene, replace(setup, progress=None), start, rounds=LOOK_LAST)
-    joint = fit.joint(some_places(scene))
-    lamps, normals = joint.state.lamps, turned(np.asarray(start.normals), joint.matrix)
-    return replace(
-        start, normals=normals, directions=lamps.places, strengths=lamps.colors, relief=None
-    )
 
 
 @one_blas_thread()

@@ -10,7 +10,7 @@ import pytest
 from scipy.ndimage import binary_dilation, binary_erosion
 
 from pbrfit import InputError, decompose
-from pbrfit.fit.lamps.estimator import LampFit, fit_lamps, settled
+from pbrfit.fit.lamps.estimator import LOOK_LAST, LampFit, fit_lamps
 from pbrfit.fit.lamps.shape import first_shape, height_of
 from pbrfit.fit.whole_picture import FitOutput
 from pbrfit.model.lamps import Lamps
@@ -103,7 +103,7 @@ def test_highlights_tell_how_deep_a_surface_is() -> None:
     """This one ends where its normals are no ball's, so that its outline tells another depth."""
     truth = planted(far(12), normals_known=False, size=32)
     start = first_shape(truth.scene)
-    few = settled(truth.scene, setup(), start)
+    few = LampFit(truth.scene, setup(), start, rounds=LOOK_LAST).settled
     found = fit_lamps(truth.scene, setup(), start)
     off = [truth.normals_off(one.normals).mean() for one in (start, few, found)]
     assert off[1] < 0.8 * off[0]

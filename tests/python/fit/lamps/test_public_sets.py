@@ -8,19 +8,32 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pbrfit import Scene
+from pbrfit.fit.lamps.shape import first_shape
 from pbrfit.fit.lamps.start import start_of_known_lamps, start_of_unknown_lamps
+from pbrfit.fit.windows import without_shape
 from pbrfit.io import images
 from pbrfit.model.geometry import angles_between
 
 DATA = Path(os.environ.get("PBRFIT_DATA", Path(__file__).parents[4] / "../shared/data"))
 BUNNY = DATA / "bunny_ps"
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(not BUNNY.is_dir(), reason="needs PBRFIT_DATA with bunny_ps"),
-]
+PANELS = DATA / "photographs"
+
+pytestmark = pytest.mark.slow
 
 
+@pytest.mark.skipif(not PANELS.is_dir(), reason="needs PBRFIT_DATA with photographs")
+@pytest.mark.parametrize("name", ["realrti_3", "realrti_4"])
+def test_a_panel_stands_upright(name: str) -> None:
+    """Other cues do not mind by more than 3 in the logarithm of the likelihood, 60° askew."""
+    scene = Scene.load(PANELS / name, max_size=192, color_space="linear")
+    mean = first_shape(without_shape(scene)).normals
+    mean = np.nanmean(mean, axis=(0, 1))
+    assert mean[2] > np.cos(np.radians(15.0)) * np.linalg.norm(mean)
+
+
+@pytest.mark.skipif(not BUNNY.is_dir(), reason="needs PBRFIT_DATA with bunny_ps")
 @pytest.mark.parametrize(
     ("name", "known", "unknown"),
     [("bunny_lambert_noshadow_12", 1.0, 10.0), ("bunny_specular_25", 5.5, 12.0)],

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from lamp_scenes import LampScene, around, ball, relief
 from pbrfit import InputError
+from pbrfit.fit.lamps.ambiguity import SQUARE_ON, square_on_cost
 from pbrfit.fit.lamps.samples import BAS_RELIEF, FirstShape
 from pbrfit.fit.lamps.start import start_of_known_lamps, start_of_unknown_lamps
 
@@ -67,6 +70,21 @@ def test_cues_have_the_slopes_of_their_sum_by_bas_reliefs() -> None:
         up, down = (relief(at + sign * step * one @ at)[0] for sign in (1, -1))
         np.testing.assert_allclose(relief(at)[1][k], (up - down) / (4 * step), rtol=1e-4)
     assert (np.linalg.eigvalsh(relief.curvature(at)) >= -1e-9).all()
+
+
+def test_a_mean_normal_off_the_axis_costs_as_a_normal_deviation() -> None:
+    one = np.array([[np.sin(SQUARE_ON), 0.0, np.cos(SQUARE_ON)]])
+    assert square_on_cost(one)[0] == pytest.approx(0.5, rel=0.02)
+    level = np.concatenate([one, one * [-1, 1, 1]])
+    assert square_on_cost(level)[0] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_half_a_ball_is_not_turned_to_the_camera() -> None:
+    scene = ball(around(9, 40, 10), size=56)
+    half = scene.mask & (scene.normals[..., 0] > 0.25)
+    start = found(replace(scene, mask=half, usable=scene.usable & half[..., None]))
+    mean = start.normals[half].mean(axis=0)
+    assert np.degrees(np.arctan2(mean[0], mean[2])) > 30.0  # 42 in truth
 
 
 def test_a_ball_in_four_pictures() -> None:
