@@ -380,8 +380,7 @@ def _starts(places: Places, rough: Array | None) -> list[Array]:
     """Matrices C (3, 3) of length 1.
 
     c₁ and c₂ are as integrability has them, with either sign, and c₃ such that lamps stand about
-    equally far in front, at several heights; beside these, the matrix that makes the surface most
-    like a rough one.
+    equally far in front; beside these, the matrix that makes the surface most like a rough one.
     """
     starts = []
     lamps = places.lamps
@@ -390,9 +389,8 @@ def _starts(places: Places, rough: Array | None) -> list[Array]:
     for sign in (1.0, -1.0):
         across = sign * null.T
         size = np.sqrt(np.mean(np.sum((lamps @ across) ** 2, axis=1)))
-        # Tangents of the lamps' root mean square angle to the camera's axis.
-        slants = 0.25, 0.5, 1.0, 2.0
-        starts += [np.column_stack([across, size / slant * level]) for slant in slants]
+        # The tangent of the lamps' root mean square angle to the camera's axis is ½, 27 degrees.
+        starts.append(np.column_stack([across, 2 * size * level]))
     if rough is not None:
         starts.append(_like(places.vectors, rough))
     starts = [C / np.linalg.norm(C) for C in starts if np.isfinite(C).all()]
