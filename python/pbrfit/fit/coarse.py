@@ -78,7 +78,8 @@ def rounds(
     if nuisances is not None:
         given = copy(objective)  # whose camera changes
         level = replace(level, objective=given)
-    for number in range(at_most):
+    outliers = False
+    for number in range(at_most + settings.WEIGHT_ROUNDS):
         if number >= settings.EARLY_ROUNDS:
             level = replace(level, objective=_weighed(given, x, noise))
         objective, prior, fixed = level.objective, None, None
@@ -110,7 +111,7 @@ def rounds(
         deviance = math.log(max(total / objective.total_weight, settings.NOISE_VARIANCE_MIN))
         # Before the camera moves, whose step pixels have to follow first.
         if run.options.robust == "auto" and number >= settings.EARLY_ROUNDS - 1:
-            noise = estimated(objective, x)
+            noise = estimated(objective, x, outliers=outliers)
             deviance = noise.deviance(given, x)
         if nuisances is not None:
             nuisances.advance(objective, x, fit, left)
@@ -124,8 +125,15 @@ def rounds(
             and (nuisances is None or nuisances.is_settled)
         )
         last = deviance
-        if settled or exact or watch.stopped or run.out_of_time():
+        if exact or watch.stopped or run.out_of_time():
             break
+        if settled or number + 1 == at_most:
+            if outliers or noise is None:
+                break
+            # Lights follow outliers until these are known, and only now can be told from others.
+            outliers, noise = True, estimated(objective, x, outliers=True)
+            if not noise.tails.has_outliers:
+                break
     changed = nuisances is not None
     if changed:  # with the camera as it is now, after joint steps
         sum_sq = fit_level(objective, x, fixed)
