@@ -385,11 +385,7 @@ def scaled_error(found: Array, true: Array) -> float:
 
 def away_from_edges(result: Result, scene: Scene) -> Result:
     """With NaN where the truth has none."""
-    valid = scene.valid & result.mask
-    of = result.materials
-    cut = [np.where(valid, plane, np.nan) for plane in (of.roughness, of.metallic)]
-    albedo = np.where(valid[..., None], of.albedo, np.nan)
-    return replace(result, materials=replace(of, albedo=albedo, roughness=cut[0], metallic=cut[1]))
+    return replace(result, materials=result.materials.within(scene.valid & result.mask))
 
 
 # ------------------------------------------------------------------------------------- pictures

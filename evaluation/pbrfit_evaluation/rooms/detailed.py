@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pbrfit.synthetic.geometry import Plane, Primitive
-from pbrfit.synthetic.patterns import edge
+from pbrfit.synthetic.patterns import edge, lattice
 from pbrfit.synthetic.surfaces import METALS, Finish, Layers, Spots, Surface
 from pbrfit.synthetic.world import World
 from pbrfit_evaluation.arrays import Array
@@ -84,18 +84,11 @@ def _fractal(rng: Rng, scale: float, octaves: int = 5) -> Relief:
         for octave, (table, offset) in enumerate(zip(tables, offsets, strict=True)):
             cell = scale / 2**octave
             strength = 0.6**octave * edge(cell / np.maximum(width, 1e-9) - 2.0, 1.0)
-            position = points / cell + offset
-            corner = np.floor(position)
-            f = position - corner
-            f = f * f * f * (f * (6 * f - 15) + 10)  # slopes are continuous, and so is the relief
-            i, j, k = corner.astype(np.int64).T % cells
-            ends = [np.stack([1 - f, f])[:, :, axis] for axis in range(3)]
-            value = np.zeros(len(points))
-            for a, b, c in np.ndindex(2, 2, 2):
-                weight = ends[0][a] * ends[1][b] * ends[2][c]
-                value += weight * table[(i + a) % cells, (j + b) % cells, (k + c) % cells]
-            total += strength * value
+            total += strength * lattice(table, points / cell + offset, fade)
         return total
+
+    def fade(f: Array) -> Array:  # slopes are continuous, and so is the relief
+        return f * f * f * (f * (6 * f - 15) + 10)
 
     return fractal
 

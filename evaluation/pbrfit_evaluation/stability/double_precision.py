@@ -17,8 +17,10 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from pbrfit import _core
+from pbrfit.model.lighting import BAND_OF
 from pbrfit.model.reflection import Model, ggx_band_weights, shade, shade_vjp
 from pbrfit_evaluation.arrays import Array, unit
+from pbrfit_evaluation.float32_model import DIELECTRIC_F0, MIN_COSINE
 
 Rows = dict[str, dict[str, float]]
 """What was found, by case and key."""
@@ -31,16 +33,12 @@ PIECE = 4096
 
 COSINE_TRANSFER = np.repeat([math.pi, 2 * math.pi / 3, math.pi / 4, 0.0], [1, 3, 5, 7])
 FIRST_OF_BAND = (0, 1, 4, 9)
-BAND_OF = np.repeat([0, 1, 2, 3], [1, 3, 5, 7])
 BASIS_SIZE = np.sqrt((2 * BAND_OF + 1) / (4 * math.pi))
 """Largest value of a band's basis functions. They are polynomials whose terms cancel, so their
 errors go with this and not with their value."""
 
 MODEL: Model = "paper"
 """Whose terms the natural scales below are made of."""
-
-DIELECTRIC_F0 = 0.04
-MIN_COSINE = 1e-4
 
 
 @dataclass(frozen=True, eq=False)

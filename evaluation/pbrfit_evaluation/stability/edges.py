@@ -24,9 +24,9 @@ from pbrfit.result.verdict import PARAMETERS, ROUGH_ERROR
 from pbrfit.scene.arrays import Truth
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.arrays import Array
+from pbrfit_evaluation.float32_model import MIN_COSINE
 from pbrfit_evaluation.jobs import Values, unlogged
 from pbrfit_evaluation.stability.double_precision import (
-    MIN_COSINE,
     Case,
     Change,
     Rows,

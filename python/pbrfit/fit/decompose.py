@@ -245,14 +245,13 @@ def _result(
     uncertainty = found.uncertainty
     if uncertainty is not None:
         verdicts = with_causes(
-            uncertainty.verdicts,
+            uncertainty,
             scene,
             normals=found.normals,
             discrepancy=found.discrepancy,
             shown=found.shown,
             transport=transport,
             lighting=found.lighting if found.lamps is None else None,
-            albedo_scale=uncertainty.albedo_scale,
             albedo=found.materials.albedo,
         )
         verdicts = capped(verdicts, chosen.held_out)

@@ -543,11 +543,8 @@ class Objective:
             raise InputError("x: expected finite numbers, found NaN or infinity")
         albedo = np.broadcast_to(x[self.albedo].reshape(self.channels, -1).T, (self.pixels, 3))
         metallic = self.known_metallic if self.metallic is None else x[self.metallic]
-        materials = Materials(
-            self.layout.whole(albedo),
-            self.layout.whole(x[self.roughness]),
-            self.layout.whole(np.broadcast_to(np.asarray(metallic), self.pixels)),
-        )
+        metallic = np.broadcast_to(np.asarray(metallic), self.pixels)
+        materials = Materials(albedo, x[self.roughness], metallic).each(self.layout.whole)
         if self._scene.lighting is not None:
             return materials, self._scene.lighting.copy()
         lighting = np.zeros((self.layout.pictures, 16, 3))

@@ -134,7 +134,7 @@ class _Subset:
             for (here, there), length in zip(pairs, self.maps.shape[:2], strict=True)
         ]
         maps = self.maps[np.ix_(*(place.astype(np.intp) for place in places))]
-        return Materials(maps[..., :3], maps[..., 3], maps[..., 4]), maps[..., 5:]
+        return Materials.of_planes(maps), maps[..., 5:]
 
 
 def _fit_subset(
@@ -165,8 +165,7 @@ def _fit_subset(
         began = time.perf_counter()
         state = replace(state, discrepancy=state.judged())
         run.unmeasured += time.perf_counter() - began
-    maps = [materials.albedo, materials.roughness[..., None], materials.metallic[..., None]]
-    whole = np.concatenate([*maps, np.asarray(run.scene.normals)], axis=-1)
+    whole = np.dstack([materials.planes, np.asarray(run.scene.normals)])
     whole = whole[nearest_inside(window.of(scene.valid))]
     return _Subset(state, refinement, lighting, window, whole)
 

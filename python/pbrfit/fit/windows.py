@@ -134,9 +134,7 @@ def cut(scene: Scene, window: Window) -> PartialScene:
 
 def cut_maps(materials: Materials, window: Window) -> Materials:
     """Some rows and columns of maps."""
-    return Materials(
-        window.of(materials.albedo), window.of(materials.roughness), window.of(materials.metallic)
-    )
+    return materials.each(window.of)
 
 
 def without_shape(scene: Scene) -> Scene:

@@ -166,10 +166,10 @@ def rotated(coefficients: ArrayLike, degrees: float) -> NDArray[np.float64]:
     return turned
 
 
-def spread_directions(count: int) -> NDArray[np.float64]:
-    """Directions that are spread evenly over the sphere, on a spiral: (count, 3)."""
+def spread_directions(count: int, height: float = 2.0) -> NDArray[np.float64]:
+    """Directions spread evenly, on a spiral, over a cap of the unit sphere around Z: (count, 3)."""
     index = np.arange(count)
-    z = 1 - (2 * index + 1) / count
+    z = 1 - (index + 0.5) / count * height
     around = index * np.pi * (3 - np.sqrt(5))
     radius = np.sqrt(1 - z * z)
     return np.stack([radius * np.cos(around), radius * np.sin(around), z], axis=-1)

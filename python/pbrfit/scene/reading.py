@@ -745,7 +745,7 @@ def _read_estimates(notes: _Notes) -> Materials | None:
     found = of_tools.read(path)
     rows, columns = notes.window(path, found.roughness.shape)
     notes.assumed["estimates"] = f"{listed(of_tools.known_maps(found))} from {path.name}"
-    return Materials(*(plane[rows, columns] for plane in vars(found).values()))
+    return found.each(lambda plane: plane[rows, columns])
 
 
 def _averaged(

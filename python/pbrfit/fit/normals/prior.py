@@ -42,7 +42,6 @@ from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import pieces, taken
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.mixture import prior_at
-from pbrfit.fit.priors.posterior import PURE_NODES
 from pbrfit.fit.sampling import pairs_apart
 from pbrfit.values.arrays import Array
 
@@ -174,8 +173,7 @@ class FreeNormals:
             return np.zeros_like(precision), precision
         sigmas = settings.NORMALS_MATERIAL_SIGMAS_MIN
         sigma = sigmas[min(later, len(sigmas) - 1)]
-        # With normals free pictures alone do not say that surfaces are of metal or are not.
-        found = prior_at(objective, x, sigma, left, PURE_NODES)
+        found = prior_at(objective, x, sigma, left)
         return found.mean, found.precision
 
     def learn(self, objective: Objective, x: Array, prior: GaussianPrior, left: float) -> None:

@@ -37,24 +37,13 @@ def of_result(result: Result, max_side: int) -> Maps:
     Larger ones are averaged over the area that falls on each new pixel, its part in the mask alone,
     and normals made unit vectors again. A new pixel is valid if half of its area is.
     """
-    albedo, roughness, metallic, normals = (
-        reduced(values, max_side)
-        for values in (result.albedo, result.roughness, result.metallic, result.normals)
-    )
+    normals = reduced(result.normals, max_side)
     length = np.linalg.norm(normals, axis=-1)
     # Opposite normals may cancel: such a pixel has no direction, and is shown as outside.
     mask = length > 1e-6
     normals = np.where(mask[..., None], normals / np.where(mask, length, 1.0)[..., None], np.nan)
-    return Maps(
-        Materials(
-            np.where(mask[..., None], np.clip(albedo, 0, 1), np.nan),
-            np.where(mask, np.clip(roughness, 0, 1), np.nan),
-            np.where(mask, np.clip(metallic, 0, 1), np.nan),
-        ),
-        normals,
-        mask,
-        result.fov,
-    )
+    materials = result.materials.each(lambda plane: reduced(plane, max_side)).within(mask)
+    return Maps(materials, normals, mask, result.fov)
 
 
 LARGEST = {
