@@ -16,7 +16,7 @@ from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io.resampling import averaged_channels
 from pbrfit.model.materials import CHANNELS, Materials
-from pbrfit.values.checks import real_array
+from pbrfit.values.checks import errors_about, real_array
 from pbrfit.values.quoting import listed
 
 ESTIMATES_FILE = "estimates.exr"
@@ -64,7 +64,5 @@ def read(path: Path) -> Materials:
         raise InputError(f"{path}: expected some of {listed(CHANNELS)}, found {listed(stored)}")
     unknown = np.full_like(known[0], np.nan)
     planes = np.stack([stored.get(name, unknown) for name in CHANNELS], axis=-1)
-    try:
+    with errors_about(path):
         return of_maps(vars(Materials.of_planes(planes)), unknown.shape)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
