@@ -26,6 +26,7 @@ from pbrfit_evaluation.heldout.light import harmonics, target
 from pbrfit_evaluation.heldout.measure import Split, split
 from pbrfit_evaluation.heldout.sources import find_sources, opened
 from pbrfit_evaluation.recipes import OTHER
+from pbrfit_evaluation.scores import MAPS
 from pbrfit_evaluation.suite import Options
 
 PICTURES = 16
@@ -195,14 +196,11 @@ def measure(
         model = chosen_model(None, scene.model)
         return render(found, scene.normals, lights, scene.fov, threads, model=model)
 
-    scaled = metrics.scaled_per_channel(found.albedo, true.albedo)
     relit = rendered(known(truth.relight_lighting))
     return {
         "recon": metrics.rmse(rendered(lighting), scene.images),
-        "albedo": metrics.rmse(found.albedo, true.albedo),
-        "albedo_scaled": metrics.rmse(scaled, true.albedo),
-        "roughness": metrics.rmse(found.roughness, true.roughness),
-        "metallic": metrics.rmse(found.metallic, true.metallic),
+        **{name: metrics.rmse(getattr(found, name), getattr(true, name)) for name in MAPS},
+        "albedo_scaled": metrics.scaled_rmse(found.albedo, true.albedo),
         "relight": metrics.rmse(relit, known(truth.relight_images)),
         "held_out": math.nan,
     }

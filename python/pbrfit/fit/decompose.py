@@ -384,8 +384,7 @@ def _metrics(scene: Scene, fit: FitOutput, model: Model, threads: int) -> dict[s
     if truth is None:
         return found
     found |= material_errors(materials, truth.materials)
-    scaled = metrics.scaled_per_channel(materials.albedo, truth.materials.albedo)
-    found["albedo_scaled_rmse"] = metrics.rmse(scaled, truth.materials.albedo)
+    found["albedo_scaled_rmse"] = metrics.scaled_rmse(materials.albedo, truth.materials.albedo)
     if truth.relight_images is not None and truth.relight_lighting is not None:
         lights = truth.relight_lighting
         among = fit.surrounded

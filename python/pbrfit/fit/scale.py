@@ -27,7 +27,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.fit import misfit, settings
@@ -36,12 +35,10 @@ from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.normal_equations import as_in_x
 from pbrfit.fit.objective import Objective, in_channels
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.pixels import Pixels, fit_all
+from pbrfit.fit.pixels import fit_all
 from pbrfit.fit.priors.gaussian import GaussianPrior
-from pbrfit.fit.sampling import evenly_spaced, groups_of
+from pbrfit.fit.sampling import Labels, Pixels, evenly_spaced, groups_of
 from pbrfit.values.arrays import Array, Mask
-
-Labels = NDArray[np.intp]
 
 IRRADIANCE = np.repeat([np.pi, 2 * np.pi / 3, np.pi / 4, 0.0], [1, 3, 5, 7])
 """A_l of each coefficient of a light."""
