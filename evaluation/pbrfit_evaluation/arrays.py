@@ -22,11 +22,6 @@ def known(value: T | None) -> T:
     return value
 
 
-def unit(vectors: Floats) -> Array:
-    """Vectors (..., 3) of length 1."""
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
-
-
 def filled(vectors: Floats, valid: Mask) -> Array:
     """Vectors (H, W, 3), outside the mask those of the nearest pixel inside."""
     return np.asarray(np.asarray(vectors, dtype=np.float64)[nearest_inside(valid)])

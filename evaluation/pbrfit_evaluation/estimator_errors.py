@@ -49,10 +49,10 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from pbrfit.model.geometry import angles_between
+from pbrfit.model.geometry import angles_between, unit
 from pbrfit.model.materials import Materials
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.arrays import Array, Floats, filled, known, unit
+from pbrfit_evaluation.arrays import Array, Floats, filled, known
 
 WAVES = 256
 

@@ -46,6 +46,7 @@ from functools import lru_cache
 import numpy as np
 
 from pbrfit._core import InputError
+from pbrfit.model.geometry import unit
 from pbrfit.model.reflection import sh_basis
 from pbrfit_evaluation.arrays import Array
 
@@ -188,8 +189,7 @@ def _directions(sine: Array, cosine: Array, azimuth: Array) -> Array:
 
 def _even(directions: Array, elements: Array) -> Array:
     """Σ element Y_k(direction) for each stack of elements; 0 for the functions odd in y."""
-    length = np.linalg.norm(directions, axis=-1, keepdims=True)
-    basis = sh_basis((directions / length).reshape(-1, 3))
+    basis = sh_basis(unit(directions).reshape(-1, 3))
     basis[:, [1, 4, 5, 9, 10, 11]] = 0.0  # Y_lm with m < 0
     return np.asarray(elements.reshape(len(elements), -1) @ basis)
 

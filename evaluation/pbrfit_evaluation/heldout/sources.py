@@ -27,11 +27,12 @@ from pbrfit.io.color import ColorSpace
 from pbrfit.io.json_files import UNFIT, read_json, unfit
 from pbrfit.io.normal_files import find_normals
 from pbrfit.io.resampling import averaged_channels
+from pbrfit.model.geometry import unit
 from pbrfit.model.lamps import Lamps
 from pbrfit.scene import folder as scene_folder
 from pbrfit.scene.completion import add_normals, picture_size
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.arrays import Array, Floats, Mask, unit
+from pbrfit_evaluation.arrays import Array, Floats, Mask
 from pbrfit_evaluation.jobs import unlogged
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pbrfit.model.geometry import unit
 from pbrfit.synthetic.geometry import Plane, Primitive
 from pbrfit.synthetic.patterns import edge, lattice
 from pbrfit.synthetic.surfaces import METALS, Finish, Layers, Spots, Surface
@@ -59,8 +60,7 @@ class Textured(Surface):
         normals = None
         if self.maps.relief:
             x, y, z = found[:, 5:, None].transpose(1, 0, 2)
-            normals = x * right + y * up + z * spots.normals
-            normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+            normals = unit(x * right + y * up + z * spots.normals)
         return Finish(
             albedo=np.clip(found[:, :3] * self.gain, DARKEST, LIGHTEST_METAL),
             roughness=np.clip(found[:, 3], LEAST_ROUGHNESS, 1.0),
@@ -122,8 +122,7 @@ class Weathered(Surface):
             beside[:, axis] += step
             gradient[:, axis] = (self.relief(beside, spots.width) - height) / step
         along = np.einsum("pi,pi->p", gradient, spots.normals)[:, None] * spots.normals
-        normals = spots.normals - self.depth * (gradient - along)
-        normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+        normals = unit(spots.normals - self.depth * (gradient - along))
         grain = self.grain(spots.points, spots.width)
         tone = self.tone * (1 - 0.7 * below.metallic) * (0.6 * grain + 0.5 * height)
         lightest = LIGHTEST + (LIGHTEST_METAL - LIGHTEST) * below.metallic[:, None]

@@ -17,9 +17,10 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from pbrfit import _core
+from pbrfit.model.geometry import unit
 from pbrfit.model.lighting import BAND_OF
 from pbrfit.model.reflection import Model, ggx_band_weights, shade, shade_vjp
-from pbrfit_evaluation.arrays import Array, unit
+from pbrfit_evaluation.arrays import Array
 from pbrfit_evaluation.float32_model import DIELECTRIC_F0, MIN_COSINE
 
 Rows = dict[str, dict[str, float]]

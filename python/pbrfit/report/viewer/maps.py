@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import lobe_table
-from pbrfit.model.geometry import view_directions
+from pbrfit.model.geometry import unit, view_directions
 from pbrfit.model.materials import Materials
 from pbrfit.report.html import in_base64
 from pbrfit.report.raster import reduced
@@ -135,8 +135,7 @@ def _unfolded(found: dict[str, NDArray[np.uint16]]) -> Array:
     flat = np.stack([2 * UNITS[name] * found[name] - 1 for name in ("normal_u", "normal_v")], -1)
     up = 1 - np.sum(np.abs(flat), axis=-1, keepdims=True)
     flat = flat - np.where(flat >= 0, 1.0, -1.0) * np.maximum(-up, 0)
-    normals = np.concatenate([flat, up], axis=-1)
-    return np.asarray(normals / np.linalg.norm(normals, axis=-1, keepdims=True))
+    return unit(np.concatenate([flat, up], axis=-1))
 
 
 def prediction_errors(plane: NDArray[np.uint16]) -> bytes:
