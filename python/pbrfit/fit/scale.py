@@ -77,7 +77,7 @@ def refer(
     """X with lights whose scale gives the pixels at (column, row) the albedo that is the third."""
     x, (column, row, value) = x.copy(), white
     region = reference_region(objective.layout.valid, column, row)
-    held = None if prior is None else GaussianPrior(prior.prior_mean(x), prior.precision)
+    held = None if prior is None else prior.held(x)
     moved = np.zeros(objective.layout.light_channels)
     for _ in range(settings.WHITE_STEPS_MAX):
         albedo = x[objective.albedo].reshape(objective.channels, -1)[:, region]
@@ -165,7 +165,7 @@ def _at_end(
             np.full(shape, 0.5), np.full(shape, settings.UNIFORM_PRECISION * noise)
         )
     else:
-        prior = GaussianPrior(prior.prior_mean(x)[pixels], prior.precision[pixels])
+        prior = prior.held(x).rows(pixels)
     shared = SharedFit(LightPrior.around(few, part).weighing(noise, noise, few.pixels))
     fit = JointFit(few, part, sum_sq, shared, prior)
     return fit, noise / misfit.independent_share(few, part), pixels

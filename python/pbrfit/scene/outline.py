@@ -56,8 +56,7 @@ def outline(mask: Mask, views: Array) -> Outline:
         return none
     view = views[rows, columns]
     outward = np.concatenate([slope, np.zeros((len(rows), 1))], axis=1)
-    outward -= np.einsum("ei,ei->e", outward, view)[:, None] * view
-    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    outward = unit(outward - np.einsum("ei,ei->e", outward, view)[:, None] * view)
     radius = local_radius(distance)[rows, columns]
     across = 1 - np.clip(distance[rows, columns] / radius, 0.0, 1.0)[:, None]
     return Outline(rows, columns, across * outward + np.sqrt(1 - across**2) * view)
