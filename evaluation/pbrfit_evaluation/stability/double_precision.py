@@ -17,6 +17,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from pbrfit import _core
+from pbrfit.fit.scale import IRRADIANCE
 from pbrfit.model.geometry import unit
 from pbrfit.model.lighting import BAND_OF
 from pbrfit.model.reflection import Model, ggx_band_weights, shade, shade_vjp
@@ -32,7 +33,6 @@ ROUNDING = 2.0**-24
 PIECE = 4096
 """Pixels at a time."""
 
-COSINE_TRANSFER = np.repeat([math.pi, 2 * math.pi / 3, math.pi / 4, 0.0], [1, 3, 5, 7])
 FIRST_OF_BAND = (0, 1, 4, 9)
 BASIS_SIZE = np.sqrt((2 * BAND_OF + 1) / (4 * math.pi))
 """Largest value of a band's basis functions. They are polynomials whose terms cancel, so their
@@ -250,12 +250,12 @@ class _Sizes:
     @cached_property
     def weights(self) -> Array:
         """(3, P, 16)."""
-        diffuse = self._diffuse[..., None] * (COSINE_TRANSFER * BASIS_SIZE)
+        diffuse = self._diffuse[..., None] * (IRRADIANCE * BASIS_SIZE)
         return np.asarray(diffuse + self._specular[..., BAND_OF] * BASIS_SIZE)
 
     def by_material(self, by_weights: Array) -> Array:
         """Sizes (5, P) of the material derivatives from sizes (3, P, 16) of those by weights."""
-        at_normal = np.sum(by_weights * (COSINE_TRANSFER * BASIS_SIZE), axis=-1)
+        at_normal = np.sum(by_weights * (IRRADIANCE * BASIS_SIZE), axis=-1)
         at_mirror = by_weights * BASIS_SIZE
         bands = np.add.reduceat(at_mirror, FIRST_OF_BAND, axis=-1)
 
