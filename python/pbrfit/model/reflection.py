@@ -342,7 +342,9 @@ def render_lamps(
             )
         reaching = reaching.reshape(len(lamps), view.height * view.width)[:, view.of]
     points = None
-    if lamps.near.any() and depth is not None:
+    if lamps.near.any():
+        if depth is None:
+            raise InputError("lamps: expected depth for near lamps, found none")
         points = positions(_array("depth", depth, shape), fov).reshape(-1, 3)[view.of]
     for k, picture in enumerate(lamps.pictures.tolist()):
         radiance = view.under_lamp(lamps.only(k), points, threads, model, radius)
