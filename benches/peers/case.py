@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.model.lighting import BAND_OF
 from pbrfit_evaluation.float32_model import (
-    BAND_OF,
-    BANDS,
     DIELECTRIC_F0,
     DIFFUSE,
     Float32,
@@ -19,6 +18,9 @@ from pbrfit_evaluation.float32_model import (
 )
 
 __all__ = ["BANDS", "BAND_OF", "DIELECTRIC_F0", "DIFFUSE", "Case", "Float32", "band_polynomials"]
+
+BANDS = tuple(slice(band * band, (band + 1) ** 2) for band in range(4))
+"""The coefficients of band l."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -93,7 +93,7 @@ def work(connection: Connection, assignment: Assignment) -> None:
                 connection.send(Turn(took.wall, took.cpu, waited.wall, waited.cpu))
                 mark = _Clocks.now()
             else:
-                peak = process_memory.peak_kib() if peak_is_fresh else None
+                peak = process_memory.status_kib("VmHWM") if peak_is_fresh else None
                 if peak is None or baseline is None:
                     connection.send(Memory(None))
                 else:
@@ -134,7 +134,7 @@ def _prepare(assignment: Assignment) -> tuple[Peer, Ready, int | None]:
     rehearsal.evaluate()
     del rehearsal
     gc.collect()
-    baseline = process_memory.resident_kib()
+    baseline = process_memory.status_kib("VmRSS")
     case = Case.make(assignment.pixels, assignment.pictures, assignment.seed)
     peer = maker(case, assignment.threads)
     del case  # the peer keeps what it needs

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Floats = NDArray[np.floating[Any]]
-Mask = NDArray[np.bool_]
+from pbrfit.model.materials import nearest_inside
+from pbrfit.values.arrays import Array as Array
+from pbrfit.values.arrays import Floats as Floats
+from pbrfit.values.arrays import Mask as Mask
 
 T = TypeVar("T")
 
@@ -22,18 +22,9 @@ def known(value: T | None) -> T:
     return value
 
 
-def unit(vectors: Floats) -> Array:
-    """Vectors (..., 3) of length 1."""
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
-
-
 def filled(vectors: Floats, valid: Mask) -> Array:
     """Vectors (H, W, 3), outside the mask those of the nearest pixel inside."""
-    from scipy.ndimage import distance_transform_edt
-
-    nearest = distance_transform_edt(~valid, return_distances=False, return_indices=True)
-    found: Array = np.asarray(vectors, dtype=np.float64)[tuple(nearest)]
-    return found
+    return np.asarray(np.asarray(vectors, dtype=np.float64)[nearest_inside(valid)])
 
 
 def worst(figures: Mapping[str, float]) -> tuple[float, str]:

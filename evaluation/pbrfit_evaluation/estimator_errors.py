@@ -49,11 +49,10 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from pbrfit.model.geometry import angles_between
+from pbrfit.model.geometry import angles_between, unit
 from pbrfit.model.materials import Materials
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.arrays import Array, Floats, filled, known, unit
-from pbrfit_evaluation.recipes import within
+from pbrfit_evaluation.arrays import Array, Floats, filled, known
 
 WAVES = 256
 
@@ -217,9 +216,8 @@ def estimated_maps(scene: Scene, picture: Array, seed: int) -> Materials:
     rng, true, valid = np.random.default_rng([seed, 11]), known(scene.truth).materials, scene.valid
     objects, shape = known(scene.segments), valid.shape
     count = int(objects.max()) + 1
-    planes = np.concatenate([true.albedo, true.roughness[..., None], true.metallic[..., None]], -1)
-    planes = filled(planes, valid & np.isfinite(planes).all(axis=-1))
-    albedo, roughness, metallic = planes[..., :3], planes[..., 3], planes[..., 4]
+    planes = filled(true.planes, valid & np.isfinite(true.planes).all(axis=-1))
+    albedo, roughness, metallic = vars(Materials.of_planes(planes)).values()
     grey = albedo.mean(axis=-1)
     tones = rng.normal(scale=HUE, size=(count, 3)) + rng.normal(scale=TONE, size=(count, 1))
     roughness = roughness + rng.normal(scale=ROUGHNESS, size=count)[objects]
@@ -232,4 +230,4 @@ def estimated_maps(scene: Scene, picture: Array, seed: int) -> Materials:
     albedo = albedo * np.exp(tones[objects] + (BAKED * shading + fields[0])[..., None])
     maps = (albedo, roughness + fields[1], metallic + fields[2])
     blurred = [gaussian_filter(of, shape[1] / 96, axes=(0, 1)) for of in maps]
-    return within(Materials(*blurred), valid)
+    return Materials(*blurred).within(valid)

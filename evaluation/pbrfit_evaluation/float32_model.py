@@ -6,7 +6,6 @@ n·v are made beforehand, and band weights are one short polynomial.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,15 +13,10 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
+from pbrfit.fit.scale import IRRADIANCE
 from pbrfit.model.reflection import ggx_band_weights, sh_basis
 
 Float32 = NDArray[np.float32]
-
-BAND_OF = (0, 1, 1, 1, 2, 2, 2, 2, 2, 3, 3, 3, 3, 3, 3, 3)
-"""Band l of coefficient k."""
-
-BANDS = tuple(slice(band * band, (band + 1) ** 2) for band in range(4))
-"""The coefficients of band l."""
 
 DIFFUSE = 9
 """Coefficients with a diffuse response: bands 0 to 2."""
@@ -55,9 +49,8 @@ class View:
     @cached_property
     def diffuse_basis(self) -> Float32:
         """A_l Y_k(n), (P, 9)."""
-        transfer = np.array([math.pi, 2 * math.pi / 3, math.pi / 4])[list(BAND_OF[:DIFFUSE])]
         basis = sh_basis(self.normals)[:, :DIFFUSE]
-        return np.asarray(transfer * basis, dtype=np.float32)
+        return np.asarray(IRRADIANCE[:DIFFUSE] * basis, dtype=np.float32)
 
     @cached_property
     def mirror_basis(self) -> Float32:

@@ -16,7 +16,7 @@ import os
 import secrets
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -26,16 +26,13 @@ import pbrfit
 import pbrfit_evaluation
 from pbrfit.batch.driver import Attempt, drive, repeat_log, workers
 from pbrfit.io.json_files import UNFIT, number, table
-from pbrfit.io.output import FolderForm, check_free
+from pbrfit.io.output import FolderForm, check_free, new_file
 
 RECORDS = "records"
 """Folder of the records, in that of the suite."""
 
 SUMMARY = "summary.json"
 """File that makes the folder complete."""
-
-PART = ".part"
-"""Ending of a record that is being written."""
 
 SUITE_FOLDER = FolderForm(
     contains=(RECORDS,),
@@ -152,14 +149,8 @@ def _save(records: Path, task: Task, record: Record) -> None:
         "seconds": record.seconds,
         "values": record.values,
     }
-    path = records / f"{task.key}.json"
-    temporary = path.with_suffix(PART)
-    try:
-        temporary.write_text(json.dumps(content, indent=1, allow_nan=True), encoding="utf-8")
-        temporary.replace(path)
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
+    with new_file(records / f"{task.key}.json", overwrite=True) as path:
+        path.write_text(json.dumps(content, indent=1), encoding="utf-8")
 
 
 def digest_of_files(folder: Path) -> str:
@@ -177,8 +168,6 @@ def digest_of_files(folder: Path) -> str:
 
 def is_record(path: Path) -> bool:
     """Whether a file was written by `run`, by its name and first words."""
-    if path.suffix == PART:
-        return True
     if path.suffix != ".json" or not path.is_file():
         return False
     with path.open("rb") as file:

@@ -17,7 +17,7 @@ from pbrfit.model.reflection import Model, chosen_model, render
 from pbrfit.result.options import Priors
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.arrays import Array, Floats, Mask, known
+from pbrfit_evaluation.arrays import Array, known
 
 OTHER: dict[Model, Model] = {"paper": "principled", "principled": "paper"}
 """By a model the one that it is not."""
@@ -46,16 +46,6 @@ def lit_anew(scene: Scene, materials: Materials, lighting: Array, relight_lighti
         relight_lighting=relight_lighting,
     )
     return replace(scene, images=exposure * images, truth=truth)
-
-
-def within(maps: Materials, valid: Mask) -> Materials:
-    """Maps that were found as the materials of a scene: in [0, 1], NaN outside of `valid`."""
-
-    def kept(plane: Floats) -> Array:
-        where = valid if plane.ndim == 2 else valid[..., None]
-        return np.where(where, np.clip(plane.astype(np.float64), 0, 1), np.nan)
-
-    return Materials(kept(maps.albedo), kept(maps.roughness), kept(maps.metallic))
 
 
 @dataclass(frozen=True)
@@ -100,7 +90,7 @@ def paper_start(scene: Scene) -> Materials:
     mean = total / counts
     albedo = np.empty((*scene.valid.shape, 3))
     albedo[scene.valid] = np.clip(mean * (MEAN_RADIANCE / mean.mean()), 0.0, 1.0)
-    return _constant(scene, albedo, 0.5, 0.1)
+    return _constant(scene, albedo, 0.1)
 
 
 def constant_guess(scene: Scene) -> Materials:
@@ -113,15 +103,13 @@ def constant_guess(scene: Scene) -> Materials:
     """
     if scene.truth is None:
         raise InputError("scene: expected ground truth for a constant guess, found none")
-    return _constant(scene, scene.truth.materials.albedo[scene.valid].mean(axis=0), 0.5, 0.0)
+    return _constant(scene, scene.truth.materials.albedo[scene.valid].mean(axis=0), 0.0)
 
 
-def _constant(scene: Scene, albedo: Array, roughness: float, metallic: float) -> Materials:
-    return Materials(
-        albedo=np.where(scene.valid[..., None], albedo, np.nan),
-        roughness=np.where(scene.valid, roughness, np.nan),
-        metallic=np.where(scene.valid, metallic, np.nan),
-    )
+def _constant(scene: Scene, albedo: Array, metallic: float) -> Materials:
+    shape = scene.valid.shape
+    maps = np.broadcast_to(albedo, (*shape, 3)), np.full(shape, 0.5), np.full(shape, metallic)
+    return Materials(*maps).within(scene.valid)
 
 
 _BARE: Mapping[str, Any] = {

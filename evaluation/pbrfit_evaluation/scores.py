@@ -26,18 +26,17 @@ def score(result: Result, scene: Scene, threads: int = 0) -> dict[str, float | N
     """Compare a result with the truth of its scene: `SCORES`, None where there is nothing true."""
     truth = known(scene.truth)
     found, true = result.materials, truth.materials
-    scaled = metrics.scaled_per_channel(found.albedo, true.albedo)
     relight = relight_scaled = None
     if truth.relight_images is not None and truth.relight_lighting is not None:
         rendered = relighting.relight(result, truth.relight_lighting, threads)
         shown = np.where(scene.valid[..., None], truth.relight_images, np.nan)
         relight = metrics.rmse(rendered, shown)
-        relight_scaled = metrics.rmse(metrics.scaled_per_channel(rendered, shown), shown)
+        relight_scaled = metrics.scaled_rmse(rendered, shown)
     return {
         "recon": result.metrics["recon_rmse"],
         **{name: metrics.rmse(getattr(found, name), getattr(true, name)) for name in MAPS},
         "relight": relight,
-        "albedo_scaled": metrics.rmse(scaled, true.albedo),
+        "albedo_scaled": metrics.scaled_rmse(found.albedo, true.albedo),
         "relight_scaled": relight_scaled,
         "seconds": result.seconds,
         "evaluations": result.evaluations,

@@ -10,7 +10,8 @@ from collections.abc import Callable
 
 import torch
 
-from pbrfit_evaluation.float32_model import BAND_OF, DIELECTRIC_F0, DIFFUSE, View, band_polynomials
+from pbrfit.model.lighting import BAND_OF
+from pbrfit_evaluation.float32_model import DIELECTRIC_F0, DIFFUSE, View, band_polynomials
 
 
 class Factors:

@@ -16,6 +16,7 @@ import pbrfit
 from pbrfit import Materials
 from pbrfit.fit.objective import Objective
 from pbrfit.synthetic import make_scene
+from pbrfit_evaluation.arrays import known
 from pbrfit_evaluation.convergence import figures
 from pbrfit_evaluation.convergence.measure import (
     CASES,
@@ -29,7 +30,6 @@ from pbrfit_evaluation.convergence.measure import (
     measure,
     median_reached,
     trial,
-    true_lighting,
 )
 from pbrfit_evaluation.convergence.solvers import Task, fit_with_ours
 from pbrfit_evaluation.jobs import Record
@@ -51,7 +51,7 @@ CURVE = (point(0, 0, 1, 0.5), point(1, 3, 4, 0.09), point(2, 6, 8, 0.02), point(
 
 def test_truth_has_no_errors_and_known_changes_have_known_ones() -> None:
     scene = make(SMALL, 100)
-    true, lighting = truth_of(scene).materials, true_lighting(scene)
+    true, lighting = truth_of(scene).materials, known(truth_of(scene).lighting)
     errors = measure(scene, true, lighting)
     assert math.isnan(errors.pop("held_out"))
     assert max(errors.values()) < 1e-12

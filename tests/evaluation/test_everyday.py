@@ -14,6 +14,7 @@ from evaluation_tasks import recorded
 from pbrfit.fit.decompose import decompose
 from pbrfit.io.color import encode_srgb
 from pbrfit.model.reflection import render
+from pbrfit.scene.arrays import CHANNELS
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.everyday import figures, measure
 from pbrfit_evaluation.everyday.figures import MOST
@@ -95,7 +96,7 @@ def test_the_scale_is_that_of_albedo(clean: Scene) -> None:
 
 def found(error: float, seconds: float = 1.0, **more: Any) -> dict[str, Any]:
     """What a fit found with the same error in all maps."""
-    scale = {name: {"error": 0.01, "deviation": 0.01} for name in measure.CHANNELS}
+    scale = {name: {"error": 0.01, "deviation": 0.01} for name in CHANNELS}
     fov = {"degrees": 60.0, "error": 0.0, "said": None, "contradicted": False}
     return {
         "scores": dict.fromkeys(figures.ERRORS, error) | {"processor": seconds},
@@ -130,7 +131,7 @@ def test_each_demand_can_fail() -> None:
         of = found(0.1, fov={"contradicted": contradicted})
         assert (said in judged("fov-wrong", of)) != contradicted
         assert (said in judged("fov-true", of)) == contradicted
-    scale = {name: {"error": 0.021, "deviation": 0.01} for name in measure.CHANNELS}
+    scale = {name: {"error": 0.021, "deviation": 0.01} for name in CHANNELS}
     of = found(0.1, scale=scale | {"red": {"error": 0.019, "deviation": 0.01}})
     assert judged("hot", of) == {"share of scales within two of their deviations"}
 

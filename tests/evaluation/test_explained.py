@@ -17,10 +17,10 @@ import pytest
 
 from evaluation_tasks import depth_off, normals_off, own_room
 from pbrfit.fit.decompose import decompose
+from pbrfit.model.geometry import unit
 from pbrfit.model.lamps import Lamps
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation import cycles, recipes
-from pbrfit_evaluation.arrays import unit
 from pbrfit_evaluation.grid import Case
 from pbrfit_evaluation.table1 import measure as table1
 from pbrfit_evaluation.table1.measure import ROWS as TABLE1

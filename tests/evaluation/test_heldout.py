@@ -18,14 +18,13 @@ from evaluation_tasks import recorded
 from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io.color import encode_srgb
-from pbrfit.model.geometry import angles_between
+from pbrfit.model.geometry import angles_between, unit
 from pbrfit.model.materials import Materials
 from pbrfit.scene.correction import Correction
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit.values.arrays import Array
 from pbrfit_evaluation import recipes
-from pbrfit_evaluation.arrays import unit
 from pbrfit_evaluation.heldout import figures, measure, sources
 from pbrfit_evaluation.heldout.baselines import Baseline, explained_by_kept
 from pbrfit_evaluation.heldout.light import (

@@ -127,13 +127,13 @@ class Room:
         self._placed = {k: v for k, v in case.files.items() if k != case.target}
         file = folder / case.target
         self._log.records.clear()
-        before = (process_memory.resident_kib() or 0) if process_memory.forget_peak() else None
+        before = (process_memory.status_kib("VmRSS") or 0) if process_memory.forget_peak() else None
         began = time.process_time()
         signal.setitimer(signal.ITIMER_PROF, SECONDS)
         kind, problem = outcome(lambda: self._readers[reader].read(folder, file), folder, file)
         signal.setitimer(signal.ITIMER_PROF, 0)
         seconds = time.process_time() - began
-        growth = 0 if before is None else ((process_memory.peak_kib() or 0) - before) << 10
+        growth = 0 if before is None else ((process_memory.status_kib("VmHWM") or 0) - before) << 10
         tally.outcomes[kind] += 1
         tally.slowest = max(tally.slowest, seconds)
         tally.growth = max(tally.growth, growth)

@@ -57,7 +57,7 @@ def state(scenes: int) -> State:
     """This process, as Linux tells it."""
     [threads] = re.findall(r"Threads:\s+(\d+)", Path("/proc/self/status").read_text())
     files = len(list(Path("/proc/self/fd").iterdir()))
-    resident = (process_memory.resident_kib() or 0) << 10
+    resident = (process_memory.status_kib("VmRSS") or 0) << 10
     return State(os.getpid(), scenes, resident, files, int(threads))
 
 

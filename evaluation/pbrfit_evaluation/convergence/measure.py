@@ -25,7 +25,8 @@ from pbrfit_evaluation.arrays import Array, known
 from pbrfit_evaluation.heldout.light import harmonics, target
 from pbrfit_evaluation.heldout.measure import Split, split
 from pbrfit_evaluation.heldout.sources import find_sources, opened
-from pbrfit_evaluation.recipes import OTHER, within
+from pbrfit_evaluation.recipes import OTHER
+from pbrfit_evaluation.scores import MAPS
 from pbrfit_evaluation.suite import Options
 
 PICTURES = 16
@@ -85,8 +86,8 @@ def make(case: Case, seed: int) -> Scene:
     scene = make_scene(
         "room", size=case.size, lights=PICTURES, held_out=PICTURES, seed=seed, model=model
     )
-    truth, images, lighting = scene.truth, scene.images, true_lighting(scene)
-    assert truth is not None
+    truth, images = known(scene.truth), scene.images
+    lighting = known(truth.lighting)
     if case.alike:
         # Radiance is linear in the light, so the pictures blend as the lights do.
         lighting, images = (
@@ -98,11 +99,6 @@ def make(case: Case, seed: int) -> Scene:
         rng = np.random.default_rng([seed, round(1e6 * case.noise)])
         images = images + rng.normal(scale=case.noise * MEAN_RADIANCE, size=images.shape)
     return replace(scene, images=images, truth=truth)
-
-
-def true_lighting(scene: Scene) -> Array:
-    """Lights of the scene's pictures, (N, 16, 3), which it was made with."""
-    return known(known(scene.truth).lighting)
 
 
 Errors = Callable[[Materials, Array], Mapping[str, float]]
@@ -194,20 +190,17 @@ def measure(
     """
     truth = known(scene.truth)
     true = truth.materials
-    found = within(materials, scene.valid)
+    found = materials.within(scene.valid)
 
     def rendered(lights: Array) -> Array:
         model = chosen_model(None, scene.model)
         return render(found, scene.normals, lights, scene.fov, threads, model=model)
 
-    scaled = metrics.scaled_per_channel(found.albedo, true.albedo)
     relit = rendered(known(truth.relight_lighting))
     return {
         "recon": metrics.rmse(rendered(lighting), scene.images),
-        "albedo": metrics.rmse(found.albedo, true.albedo),
-        "albedo_scaled": metrics.rmse(scaled, true.albedo),
-        "roughness": metrics.rmse(found.roughness, true.roughness),
-        "metallic": metrics.rmse(found.metallic, true.metallic),
+        **{name: metrics.rmse(getattr(found, name), getattr(true, name)) for name in MAPS},
+        "albedo_scaled": metrics.scaled_rmse(found.albedo, true.albedo),
         "relight": metrics.rmse(relit, known(truth.relight_images)),
         "held_out": math.nan,
     }
@@ -220,7 +213,7 @@ def held_out_errors(
 
     In radiance. The light of each is fitted to the materials, so that both mean the same.
     """
-    found = within(materials, scene.valid)
+    found = materials.within(scene.valid)
     valid = scene.valid
     lit = harmonics(found, np.asarray(scene.normals, np.float64), scene.fov, valid, model)
 

@@ -139,12 +139,6 @@ def render_scene(
             random_lights(held_out, streams[2]), streams[2]
         )
     level = MEAN_RADIANCE / images[:, mask].mean()
-
-    def inside(values: NDArray[np.float32]) -> Array:
-        clipped = np.clip(values.astype(np.float64), 0.0, 1.0)
-        clipped[~mask] = np.nan
-        return clipped
-
     return Scene(
         images=level * images,
         normals=np.where(mask[..., None], found.normals, np.nan).astype(np.float64),
@@ -154,7 +148,7 @@ def render_scene(
         depth=np.where(found.segments > 0, -found.positions[..., 2], np.nan),
         names=tuple(f"light_{i:02d}" for i in range(lights)),
         truth=Truth(
-            materials=Materials(*map(inside, (found.albedo, found.roughness, found.metallic))),
+            materials=Materials(found.albedo, found.roughness, found.metallic).within(mask),
             **{name: level * values for name, values in known.items()},
         ),
     )

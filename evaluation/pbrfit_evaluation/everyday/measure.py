@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from pbrfit.result.options import FitOptions
+from pbrfit.scene.arrays import CHANNELS
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.arrays import Array, Floats, known
@@ -264,8 +265,6 @@ def read_back(scene: Scene, write: Write | None = None, *, say_fov: bool = True)
             settings.write_text("".join(kept), encoding="utf-8")
         return replace(Scene.load(folder), truth=scene.truth)
 
-
-CHANNELS = ("red", "green", "blue")
 
 GRID = Grid(
     {key: one.title for key, one in DISTURBANCES.items()},

@@ -46,6 +46,7 @@ from functools import lru_cache
 import numpy as np
 
 from pbrfit._core import InputError
+from pbrfit.model.geometry import unit
 from pbrfit.model.reflection import sh_basis
 from pbrfit_evaluation.arrays import Array
 
@@ -118,6 +119,18 @@ def view(n_dot_v: float) -> Array:
     return np.array([np.sqrt((1 - n_dot_v) * (1 + n_dot_v)), 0.0, n_dot_v])
 
 
+def rings(count: int) -> tuple[tuple[float, ...], Array]:
+    """Values of n·v, and their shares of a sphere's picture.
+
+    A pixel's share is 2 (n·v) d(n·v). The error's square rises like 1/(n·v)² towards the rim, and
+    only levels out where n·v falls below r⁴/2, so the nodes crowd there: n·v = t³, Gauss-Legendre
+    in t.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    t = (1 + nodes) / 2
+    return tuple((t**3).tolist()), 3 * weights * t**5
+
+
 def integrate_lobe(
     roughness: float, n_dot_v: float, nodes: int, masking: Masking, fresnel: Fresnel
 ) -> Array:
@@ -176,8 +189,7 @@ def _directions(sine: Array, cosine: Array, azimuth: Array) -> Array:
 
 def _even(directions: Array, elements: Array) -> Array:
     """Σ element Y_k(direction) for each stack of elements; 0 for the functions odd in y."""
-    length = np.linalg.norm(directions, axis=-1, keepdims=True)
-    basis = sh_basis((directions / length).reshape(-1, 3))
+    basis = sh_basis(unit(directions).reshape(-1, 3))
     basis[:, [1, 4, 5, 9, 10, 11]] = 0.0  # Y_lm with m < 0
     return np.asarray(elements.reshape(len(elements), -1) @ basis)
 

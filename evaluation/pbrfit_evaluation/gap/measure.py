@@ -27,6 +27,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from pbrfit.model.lighting import BAND_OF
 from pbrfit.model.reflection import Model as ModelName
 from pbrfit.model.reflection import shade
 from pbrfit.synthetic.lights import random_lights
@@ -77,9 +78,6 @@ COMPARED: Mapping[str, Model] = {
     "principled": partial(Closed, "principled"),
 }
 """All models that are compared with the principled BRDF."""
-
-BAND_OF = np.repeat(np.arange(4), 2 * np.arange(4) + 1)
-"""(16,): l of each coefficient."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +135,7 @@ def run(
     when the number of nodes is doubled, or of the root mean square over a sphere, whichever is
     larger.
     """
-    rings, shares = _rings(case.rings)
+    rings, shares = brute_force.rings(case.rings)
     power = band_power(random_lights(case.lights, np.random.default_rng(case.seed)))
     true, changes = _weights(reference, case.r, case.n_dot_v)
     on_sphere, on_rings = _weights(reference, case.r, rings)
@@ -174,18 +172,6 @@ def rms_radiance(weights: Array, shares: Array, power: Array) -> Array:
     """Root mean square radiance of a sphere: weights (M, V, 3, 16), shares (V,) of its pixels."""
     mean_square = np.einsum("mvck,ck->mvc", np.square(weights), power).mean(axis=-1)
     return np.asarray(np.sqrt(mean_square @ shares))
-
-
-def _rings(count: int) -> tuple[tuple[float, ...], Array]:
-    """Values of n·v, and their shares of a sphere's picture.
-
-    A pixel's share is 2 (n·v) d(n·v). The error's square rises like 1/(n·v)² towards the rim, and
-    only levels out where n·v falls below r⁴/2, so the nodes crowd there: n·v = t³, Gauss-Legendre
-    in t.
-    """
-    nodes, weights = np.polynomial.legendre.leggauss(count)
-    t = (1 + nodes) / 2
-    return tuple(t**3), 3 * weights * t**5
 
 
 def _weights(model: Model, r: float, n_dot_v: Sequence[float]) -> tuple[Array, Array]:

@@ -36,7 +36,13 @@ from functools import lru_cache
 import numpy as np
 
 from pbrfit_evaluation.arrays import Array
-from pbrfit_evaluation.gap.brute_force import NODES, integrate_lobe, integrated_lobe, schlick_parts
+from pbrfit_evaluation.gap.brute_force import (
+    NODES,
+    integrate_lobe,
+    integrated_lobe,
+    rings,
+    schlick_parts,
+)
 
 F0_DIELECTRIC = 0.04
 _INDEX = 1.5  # ((1.5 − 1) / (1.5 + 1))² = 0.04
@@ -102,13 +108,10 @@ def _integrals(roughness: float, n_dot_v: float) -> tuple[Array, float]:
 
 @lru_cache(maxsize=1024)
 def mean_albedo(roughness: float) -> float:
-    """Ē above: 2 ∫ E x dx, x = t³, Gauss-Legendre in t."""
-    nodes, weights = np.polynomial.legendre.leggauss(_RINGS)
-    t = (1 + nodes) / 2
-    found = [
-        _albedo(integrate_lobe(roughness, x, NODES, masking, _one)[0]) for x in (t**3).tolist()
-    ]
-    return float(np.dot(3 * weights * t**5, found))
+    """Ē above: 2 ∫ E x dx."""
+    cosines, shares = rings(_RINGS)
+    found = [_albedo(integrate_lobe(roughness, x, NODES, masking, _one)[0]) for x in cosines]
+    return float(np.dot(shares, found))
 
 
 def masking(n_dot_v: float, n_dot_l: Array, roughness: float) -> Array:

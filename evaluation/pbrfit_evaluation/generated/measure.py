@@ -356,7 +356,7 @@ def through_files(
         valid = scene.valid[..., None]
         true = np.where(valid, known(truth.relight_images)[:1], np.nan)
         ours = np.where(valid, relight(result, light, 1), np.nan)
-        errors: dict[str, Any] = {"ours": scaled_error(ours, true), "blender": None}
+        errors: dict[str, Any] = {"ours": metrics.scaled_rmse(ours, true), "blender": None}
         found: dict[str, Any] = {"errors": errors}
         if not cycles.why_not():
             (at / "lights").mkdir()
@@ -365,7 +365,7 @@ def through_files(
             glb, lights = at / "export" / "material.glb", [at / "lights" / panorama.file]
             rendered = rendered_export(at / "job", glb, case.size, lights)
             shown = np.where(valid, rendered, np.nan)
-            errors["blender"] = scaled_error(shown, true)
+            errors["blender"] = metrics.scaled_rmse(shown, true)
             scaled = metrics.scaled_per_channel(shown, true)
             found["picture"] = displayed(scaled[0], metrics.white_of(true[0]))
         return away_from_edges(result, scene), ["00", *accepted], found
@@ -378,18 +378,9 @@ def command(*words: object) -> None:
         raise RuntimeError(f"pbrfit {words[0]}: expected exit code 0, found {code}")
 
 
-def scaled_error(found: Array, true: Array) -> float:
-    """RMSE after the best factor a channel."""
-    return metrics.rmse(metrics.scaled_per_channel(found, true), true)
-
-
 def away_from_edges(result: Result, scene: Scene) -> Result:
     """With NaN where the truth has none."""
-    valid = scene.valid & result.mask
-    of = result.materials
-    cut = [np.where(valid, plane, np.nan) for plane in (of.roughness, of.metallic)]
-    albedo = np.where(valid[..., None], of.albedo, np.nan)
-    return replace(result, materials=replace(of, albedo=albedo, roughness=cut[0], metallic=cut[1]))
+    return replace(result, materials=result.materials.within(scene.valid & result.mask))
 
 
 # ------------------------------------------------------------------------------------- pictures

@@ -21,6 +21,7 @@ from scipy.interpolate import RBFInterpolator
 from pbrfit.export.rti import basis as polynomial
 from pbrfit.export.rti import harmonics
 from pbrfit.fit.lamps.samples import grey_samples
+from pbrfit.fit.lamps.surface import strengths_along
 from pbrfit.model.lamps import Lamps
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.arrays import Array, Mask
@@ -164,10 +165,13 @@ def known_lamps(
 def strengths_of(samples: Array, weights: Array, directions: Array) -> Array:
     """(N,) relative strengths of lamps along `directions` (N, 3), by samples of a matt surface.
 
-    They start at `strengths_along` and alternate with pseudo-normals.
+    They start at those by the best factors of rank three of the samples, or alike where these do
+    not tell any, and alternate with pseudo-normals.
     """
     grey, counted = _grey(samples, weights)
-    found = strengths_along(directions, grey)
+    left, values, _ = np.linalg.svd(grey, full_matrices=False)
+    found = strengths_along(left[:, :3] * values[:3] / values[0], directions)
+    found = np.ones(len(directions)) if found is None else found
     for _ in range(ROUNDS):
         pseudo = _least_squares(grey, counted, directions * found[:, None])
         shading = directions @ pseudo.T
@@ -188,21 +192,6 @@ def _middle(grey: Array, told: Mask) -> Mask:
     count = told.sum(axis=0)
     cut = np.minimum((TRIMMED * count).astype(int), np.maximum(count - UNKNOWNS, 0) // 2)
     return np.asarray((places >= cut) & (places < count - cut))
-
-
-def strengths_along(directions: Array, grey: Array) -> Array:
-    """(N,) relative strengths of lamps of known directions, from samples (N, P) that all count.
-
-    The best factors of rank three, u_n of lamp n, are its vector but for a matrix: M u_n is along
-    its direction. Of M, up to a factor, that is three linear equations a lamp.
-    """
-    left, values, _ = np.linalg.svd(grey, full_matrices=False)
-    factors = left[:, :3] * values[:3] / values[0]
-    across = np.cross(np.eye(3)[None], directions[:, None]).transpose(0, 2, 1)
-    equations = np.einsum("nij,nk->nijk", across, factors).reshape(-1, 9)
-    matrix = np.linalg.svd(equations)[2][-1].reshape(3, 3)
-    found = np.einsum("ni,ij,nj->n", directions, matrix, factors)
-    return np.asarray(found / found.mean())
 
 
 def _least_squares(values: Array, weights: Array, basis: Array) -> Array:

@@ -24,14 +24,15 @@ import numpy as np
 from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io.color import ColorSpace
-from pbrfit.io.json_files import UNFIT, read_json, unfit
+from pbrfit.io.json_files import UNFIT, expecting, read_json, unfit
 from pbrfit.io.normal_files import find_normals
 from pbrfit.io.resampling import averaged_channels
+from pbrfit.model.geometry import unit
 from pbrfit.model.lamps import Lamps
 from pbrfit.scene import folder as scene_folder
 from pbrfit.scene.completion import add_normals, picture_size
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.arrays import Array, Floats, Mask, unit
+from pbrfit_evaluation.arrays import Array, Floats, Mask
 from pbrfit_evaluation.jobs import unlogged
 
 
@@ -410,10 +411,8 @@ def _lamps(source: Source, scene: Scene) -> Lamps | None:
     """As of `Opened`, of all pictures."""
     folder, said = source.folder, _said(source.folder)
     if said.get("directions"):
-        try:
+        with expecting(folder / SET, "directions and colors (N, 3)"):
             return _far(said["directions"], said.get("colors"))
-        except UNFIT as error:
-            raise unfit(folder / SET, "directions and colors (N, 3)", error) from None
     for path in (above / name for above in (folder, folder.parent) for name in DIRECTIONS):
         if path.is_file():
             strengths = path.with_name(STRENGTHS)
@@ -443,7 +442,5 @@ def _far(vectors: Any, colors: Any = None) -> Lamps:
 
 def _table(path: Path) -> Array:
     """(N, 3) numbers of a text file."""
-    try:
+    with expecting(path, "three numbers a line"):
         return np.loadtxt(path, ndmin=2)[:, -3:]
-    except UNFIT as error:
-        raise unfit(path, "three numbers a line", error) from None

@@ -33,16 +33,21 @@ from pbrfit.model.geometry import angles_between
 from pbrfit.result.refinement import CHOICES
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.arrays import Array, Mask, filled
-from pbrfit_evaluation.estimator_errors import angle_errors, as_estimated, facing, smooth, turned
+from pbrfit_evaluation.estimator_errors import (
+    PATCH,
+    WHOLE,
+    angle_errors,
+    as_estimated,
+    facing,
+    smooth,
+    turned,
+)
 from pbrfit_evaluation.grid import NOISE, Case, Grid, measured
 from pbrfit_evaluation.recipes import Way
 from pbrfit_evaluation.scores import MAPS
 from pbrfit_evaluation.suite import Options
 
 DISTURBANCES = ("correlated", "biased", "estimator")
-
-PATCH, WHOLE = 0.06, 0.4
-"""Lengths of fields in shares of the picture's width."""
 
 BIAS_SHARE = 0.25
 

@@ -19,7 +19,7 @@ from pbrfit_evaluation import cycles
 from pbrfit_evaluation.arrays import Floats
 from pbrfit_evaluation.estimator_errors import estimated_normals
 from pbrfit_evaluation.grid import NOISE, Case, Grid, measured
-from pbrfit_evaluation.recipes import GUESS, Way, within
+from pbrfit_evaluation.recipes import GUESS, Way
 from pbrfit_evaluation.suite import Options
 from pbrfit_evaluation.table1 import measure as table1
 from pbrfit_evaluation.table1.measure import ROWS
@@ -64,7 +64,7 @@ def work(task: Task, threads: int) -> dict[str, Any]:
         torch.set_num_threads(threads)  # else the one thread that tasks leave to BLAS
         peer = _loaded(task.way, task.checkpoint, task.device, task.longer_side)
         assert not isinstance(peer, str)
-        maps = within(peer(shown_picture(scene, at), task), scene.valid)
+        maps = peer(shown_picture(scene, at), task).within(scene.valid)
         # Lights that fit the maps best, for the error of the pictures; materials stay.
         way = Way(way.words, {"iterations": 0, "priors": None}, lambda _: maps)
     return {**measured(task, way, scene, threads)[1], "picture": at}

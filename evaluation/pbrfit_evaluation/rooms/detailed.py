@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pbrfit.model.geometry import unit
 from pbrfit.synthetic.geometry import Plane, Primitive
-from pbrfit.synthetic.patterns import edge
+from pbrfit.synthetic.patterns import edge, lattice
 from pbrfit.synthetic.surfaces import METALS, Finish, Layers, Spots, Surface
 from pbrfit.synthetic.world import World
 from pbrfit_evaluation.arrays import Array
@@ -59,8 +60,7 @@ class Textured(Surface):
         normals = None
         if self.maps.relief:
             x, y, z = found[:, 5:, None].transpose(1, 0, 2)
-            normals = x * right + y * up + z * spots.normals
-            normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+            normals = unit(x * right + y * up + z * spots.normals)
         return Finish(
             albedo=np.clip(found[:, :3] * self.gain, DARKEST, LIGHTEST_METAL),
             roughness=np.clip(found[:, 3], LEAST_ROUGHNESS, 1.0),
@@ -84,18 +84,11 @@ def _fractal(rng: Rng, scale: float, octaves: int = 5) -> Relief:
         for octave, (table, offset) in enumerate(zip(tables, offsets, strict=True)):
             cell = scale / 2**octave
             strength = 0.6**octave * edge(cell / np.maximum(width, 1e-9) - 2.0, 1.0)
-            position = points / cell + offset
-            corner = np.floor(position)
-            f = position - corner
-            f = f * f * f * (f * (6 * f - 15) + 10)  # slopes are continuous, and so is the relief
-            i, j, k = corner.astype(np.int64).T % cells
-            ends = [np.stack([1 - f, f])[:, :, axis] for axis in range(3)]
-            value = np.zeros(len(points))
-            for a, b, c in np.ndindex(2, 2, 2):
-                weight = ends[0][a] * ends[1][b] * ends[2][c]
-                value += weight * table[(i + a) % cells, (j + b) % cells, (k + c) % cells]
-            total += strength * value
+            total += strength * lattice(table, points / cell + offset, fade)
         return total
+
+    def fade(f: Array) -> Array:  # slopes are continuous, and so is the relief
+        return f * f * f * (f * (6 * f - 15) + 10)
 
     return fractal
 
@@ -129,8 +122,7 @@ class Weathered(Surface):
             beside[:, axis] += step
             gradient[:, axis] = (self.relief(beside, spots.width) - height) / step
         along = np.einsum("pi,pi->p", gradient, spots.normals)[:, None] * spots.normals
-        normals = spots.normals - self.depth * (gradient - along)
-        normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+        normals = unit(spots.normals - self.depth * (gradient - along))
         grain = self.grain(spots.points, spots.width)
         tone = self.tone * (1 - 0.7 * below.metallic) * (0.6 * grain + 0.5 * height)
         lightest = LIGHTEST + (LIGHTEST_METAL - LIGHTEST) * below.metallic[:, None]

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pbrfit.model.geometry import unit
 from pbrfit.synthetic.geometry import Box, Cylinder, Primitive, Sphere, rotation, slabs
 from pbrfit.synthetic.surfaces import Surface
 from pbrfit_evaluation.arrays import Array
@@ -55,9 +56,7 @@ class Frustum(Primitive):
         # The side's normal is the gradient of sqrt(x² + z²) - (m + s y).
         normals = np.empty_like(directions)
         normals[:, ::2] = start + np.where(round_side, distance, 0.0)[:, None] * across
-        normals[:, ::2] /= np.maximum(
-            np.linalg.norm(normals[:, ::2], axis=-1, keepdims=True), 1e-300
-        )
+        normals[:, ::2] = unit(normals[:, ::2], 1e-300)
         normals[:, 1] = -slope
         normals /= np.sqrt(1 + slope**2)
         caps = np.stack([0 * a, -np.sign(directions[:, 1]), 0 * a], axis=-1)

@@ -17,8 +17,12 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from pbrfit import _core
+from pbrfit.fit.scale import IRRADIANCE
+from pbrfit.model.geometry import unit
+from pbrfit.model.lighting import BAND_OF
 from pbrfit.model.reflection import Model, ggx_band_weights, shade, shade_vjp
-from pbrfit_evaluation.arrays import Array, unit
+from pbrfit_evaluation.arrays import Array
+from pbrfit_evaluation.float32_model import DIELECTRIC_F0, MIN_COSINE
 
 Rows = dict[str, dict[str, float]]
 """What was found, by case and key."""
@@ -29,18 +33,13 @@ ROUNDING = 2.0**-24
 PIECE = 4096
 """Pixels at a time."""
 
-COSINE_TRANSFER = np.repeat([math.pi, 2 * math.pi / 3, math.pi / 4, 0.0], [1, 3, 5, 7])
 FIRST_OF_BAND = (0, 1, 4, 9)
-BAND_OF = np.repeat([0, 1, 2, 3], [1, 3, 5, 7])
 BASIS_SIZE = np.sqrt((2 * BAND_OF + 1) / (4 * math.pi))
 """Largest value of a band's basis functions. They are polynomials whose terms cancel, so their
 errors go with this and not with their value."""
 
 MODEL: Model = "paper"
 """Whose terms the natural scales below are made of."""
-
-DIELECTRIC_F0 = 0.04
-MIN_COSINE = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,12 +250,12 @@ class _Sizes:
     @cached_property
     def weights(self) -> Array:
         """(3, P, 16)."""
-        diffuse = self._diffuse[..., None] * (COSINE_TRANSFER * BASIS_SIZE)
+        diffuse = self._diffuse[..., None] * (IRRADIANCE * BASIS_SIZE)
         return np.asarray(diffuse + self._specular[..., BAND_OF] * BASIS_SIZE)
 
     def by_material(self, by_weights: Array) -> Array:
         """Sizes (5, P) of the material derivatives from sizes (3, P, 16) of those by weights."""
-        at_normal = np.sum(by_weights * (COSINE_TRANSFER * BASIS_SIZE), axis=-1)
+        at_normal = np.sum(by_weights * (IRRADIANCE * BASIS_SIZE), axis=-1)
         at_mirror = by_weights * BASIS_SIZE
         bands = np.add.reduceat(at_mirror, FIRST_OF_BAND, axis=-1)
 

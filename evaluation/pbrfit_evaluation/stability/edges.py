@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pbrfit import _core
 from pbrfit._core import InputError
 from pbrfit.fit.decompose import decompose
-from pbrfit.model.geometry import view_directions
+from pbrfit.model.geometry import unit, view_directions
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import MODELS
@@ -24,9 +24,9 @@ from pbrfit.result.verdict import PARAMETERS, ROUGH_ERROR
 from pbrfit.scene.arrays import Truth
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.arrays import Array
+from pbrfit_evaluation.float32_model import MIN_COSINE
 from pbrfit_evaluation.jobs import Values, unlogged
 from pbrfit_evaluation.stability.double_precision import (
-    MIN_COSINE,
     Case,
     Change,
     Rows,
@@ -138,7 +138,7 @@ def drawn(rng: Generator) -> EdgeScene:
         mirrors = 2 * np.sum(p.normals * p.views, axis=-1, keepdims=True) * p.normals - p.views
         lamps = rng.normal(size=(count, 3)) * [1, 1, 0] + [0, 0, 1]
         lamps[::2] = mirrors[rng.integers(len(p), size=len(lamps[::2]))]
-        lamps /= np.linalg.norm(lamps, axis=-1, keepdims=True)
+        lamps = unit(lamps)
         of_unit = _core.lamp_radiance(*p.arrays, np.tile(lamps, (len(p), 1, 1)), 1, model)
         shown = of_unit.transpose(1, 0, 2) * np.abs(case.lighting[:, :1])
     case = _shown(case, np.clip(shown, 0, BRIGHTEST))

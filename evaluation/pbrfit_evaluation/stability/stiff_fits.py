@@ -110,15 +110,8 @@ def _rendered(room: Scene, materials: Materials, lighting: Array) -> Scene:
 
 def _first(scene: Scene, count: int, *, lit: bool = False) -> Scene:
     """The first pictures alone, perhaps with their lights."""
-    truth = known(scene.truth)
-    lighting = known(truth.lighting)[:count]
-    return replace(
-        scene,
-        images=scene.images[:count],
-        names=scene.names[:count],
-        lighting=lighting if lit else None,
-        truth=replace(truth, lighting=lighting),
-    )
+    lighting = known(known(scene.truth).lighting)[:count] if lit else None
+    return scene.of_pictures(range(count), lighting=lighting)
 
 
 def _times(scene: Scene, where: Mask, factor: float) -> Scene:

@@ -9,12 +9,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.model.geometry import angles_between, positions
+from pbrfit.model.geometry import angles_between, positions, unit
 from pbrfit.model.lamps import Lamps
 from pbrfit.scene.integration import depth_from_normals
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation import cycles
-from pbrfit_evaluation.arrays import unit
 from pbrfit_evaluation.estimator_errors import ROUGH, estimated_depth
 from pbrfit_evaluation.grid import Case, Grid, measured
 from pbrfit_evaluation.recipes import GUESS, Way

@@ -18,7 +18,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from pbrfit.fit.settings import MEAN_RADIANCE
-from pbrfit.model.geometry import positions
+from pbrfit.model.geometry import positions, unit
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import Model, chosen_model, render_lamps
 from pbrfit.result.result import Result
@@ -28,7 +28,7 @@ from pbrfit.scene.integration import depth_from_normals
 from pbrfit.scene.scene import Scene
 from pbrfit.transport.decision import Transport
 from pbrfit.transport.scenery import Scenery
-from pbrfit_evaluation.arrays import Array, known, unit
+from pbrfit_evaluation.arrays import Array, known
 from pbrfit_evaluation.everyday import measure as everyday
 from pbrfit_evaluation.everyday.measure import grey, in_files, jpeg, write_png
 from pbrfit_evaluation.grid import NOISE, Case, Grid, measured

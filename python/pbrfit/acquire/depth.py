@@ -29,6 +29,7 @@ from pbrfit.scene.depth import (
 from pbrfit.scene.integration import depth_from_normals
 from pbrfit.scene.reading import Surface
 from pbrfit.values.arrays import Array, Codes, Floats
+from pbrfit.values.checks import errors_about
 
 MODEL, WHAT = "depth-anything/Depth-Anything-V2-Small-hf", "Depth Anything"
 NETWORKS = ("depth-anything", "marigold")
@@ -134,10 +135,8 @@ def _of_file(
     """Distances along the axis, at the size (height, width) of the pictures; and remarks."""
     stored, how = read_depth(path, unit)
     check_reducible(path, stored.shape, size)
-    try:
+    with errors_about(path):
         kept, said = without_holes(stored, inverse=kind == "disparity")
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
     values = kept.astype(np.float64)
     if not (unit != 1 or np.nanmax(values) <= 1 or np.fmod(values[np.isfinite(values)], 1).any()):
         said.append("whole numbers, in the unit of the file; --unit mm makes metres of mm")

@@ -21,7 +21,7 @@ from pbrfit.acquire.padding import read_srgb8
 from pbrfit.acquire.photo import Photo
 from pbrfit.io import images
 from pbrfit.io.input_files import PICTURE_BYTES, read_bytes
-from pbrfit.io.json_files import UNFIT, read_as, read_json, table, whole, words, write_json
+from pbrfit.io.json_files import expecting, read_as, read_json, table, whole, words, write_json
 from pbrfit.io.output import new_file
 from pbrfit.values.arrays import Codes
 from pbrfit.values.quoting import listed, quoted
@@ -139,7 +139,7 @@ def differences(folder: Path, photo: Photo, settings: dict[str, Any]) -> list[st
     if not path.is_file():
         raise InputError(f"{path}: expected what an earlier run was about, found no such file")
     before, now = read_json(path, ENTRY), about(photo, settings)
-    try:
+    with expecting(path, ENTRY):
         was, is_now = before["photo"], now["photo"]
         if was["sha256"] != is_now["sha256"]:
             return ["another photo"]
@@ -154,8 +154,6 @@ def differences(folder: Path, photo: Photo, settings: dict[str, Any]) -> list[st
             for key in sorted({*table(old), *new})
             if old.get(key) != new.get(key)
         ]
-    except UNFIT:
-        raise _strange(path) from None
 
 
 def names(folder: Path) -> set[str]:
@@ -172,14 +170,8 @@ def _read(folder: Path) -> Iterator[tuple[object, Entry]]:
         if path.name == RUN or path.name.startswith("."):
             continue
         content = read_json(path, ENTRY)
-        try:
+        with expecting(path, ENTRY):
             request, run = read_as(Request, content["request"]), content["about"]
             refused, record = words(content["refused"]), table(content["record"])
             sha256 = read_as(str | None, content["sha256"])
-        except UNFIT:
-            raise _strange(path) from None
         yield run, Entry(path.stem, request, refused, record, sha256)
-
-
-def _strange(path: Path) -> InputError:
-    return InputError(f"{path}: expected {ENTRY}, found something else")

@@ -23,6 +23,7 @@ from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.model.depth_normals import FACING, DepthKind, from_depth
 from pbrfit.scene.depth import without_holes
 from pbrfit.values.arrays import Array, Codes, Mask
+from pbrfit.values.checks import errors_about
 
 log = logging.getLogger("pbrfit")
 
@@ -161,10 +162,8 @@ def from_normals(
                 f"{path}: expected tangent space, where Z is above 0, found {100 * behind:.0f} % "
                 "below; is it camera space (--frame camera)?"
             )
-    try:
+    with errors_about(path):
         turned = convention.to_camera(np.where(known[..., None], stored, 0.0))
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
     unit = turned / np.where(known, length, 1.0)[..., None]
     return *_at_size(np.where(known[..., None], unit, FACING), known, size), read.said
 
@@ -185,12 +184,10 @@ def of_depth(
     """
     depth, _ = read_depth(path)
     check_reducible(path, depth.shape, size)
-    try:
+    with errors_about(path):
         if kind != "disparity":
             depth = np.where(np.isnan(without_holes(depth)[0]), np.nan, depth)
         normals, known = from_depth(depth, fov=fov, kind=kind, view_width=view_width)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
     if not known.any():
         raise InputError(
             f"{path}: expected depths above 0, found none beside another; 0, infinite and NaN "

@@ -13,7 +13,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from pbrfit.io.input_files import SETTINGS_BYTES, read_text
-from pbrfit.io.json_files import UNFIT, read_as, toml_of, unfit
+from pbrfit.io.json_files import expecting, read_as, toml_of
 from pbrfit.values.quoting import quoted
 
 SHIPPED = "prompts.toml"
@@ -52,7 +52,7 @@ def read_prompts(path: Path | None = None) -> Catalogue:
     """
     name = str(path) if path is not None else SHIPPED
     content = toml_of(name, shipped_text() if path is None else read_text(path, SETTINGS_BYTES))
-    try:
+    with expecting(name, "[[lighting]] with name and text, preamble, negative"):
         found = read_as(Catalogue, {"preamble": "", "negative": "", "lighting": []} | content)
         if not found.lighting:
             raise ValueError("no lighting")
@@ -64,8 +64,6 @@ def read_prompts(path: Path | None = None) -> Catalogue:
             prompts[prompt.name] = Prompt(prompt.name, _line(prompt.text))
             if not prompts[prompt.name].text:
                 raise ValueError(f"lighting: {prompt.name} without a text")
-    except UNFIT as error:
-        raise unfit(name, "[[lighting]] with name and text, preamble, negative", error) from None
     return Catalogue(_line(found.preamble), tuple(prompts.values()), _line(found.negative))
 
 

@@ -5,16 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 
-def resident_kib() -> int | None:
-    """Memory that is resident now."""
-    return _status("VmRSS")
-
-
-def peak_kib() -> int | None:
-    """Highest resident memory since `forget_peak`."""
-    return _status("VmHWM")
-
-
 def forget_peak() -> bool:
     """Start a new peak from now. False where that is not possible."""
     try:
@@ -24,7 +14,8 @@ def forget_peak() -> bool:
     return True
 
 
-def _status(name: str) -> int | None:
+def status_kib(name: str) -> int | None:
+    """Resident memory, "VmRSS", or the highest since `forget_peak`, "VmHWM"."""
     try:
         lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
     except OSError:

@@ -169,7 +169,7 @@ def decompose_scene(
     if result.status is Status.TIME_LIMIT:
         reason = result.stop_reason
         log.warning("%s: unfinished: %s; the best state so far is written", task.output, reason)
-    peak = process_memory.peak_kib() if fresh else None
+    peak = process_memory.status_kib("VmHWM") if fresh else None
     return SceneOutcome(
         "done",
         stop_reason=result.stop_reason,

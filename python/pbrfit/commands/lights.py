@@ -22,6 +22,7 @@ from pbrfit.scene import completion, known_lamps
 from pbrfit.scene.folder import check_unread, locate
 from pbrfit.scene.options import ReadOptions
 from pbrfit.scene.reading import read_pictures
+from pbrfit.values.checks import errors_about
 
 FLAGS: dict[str, Flags] = {
     "ball": {
@@ -102,7 +103,7 @@ def _of_ball(
         raise InputError(f"albedo: expected a number above 0, 1 at most, found {albedo:g}")
     pictures, fov, fov_said = read_pictures(options.scene, ReadOptions.from_json(given))
     _, height, width, _ = pictures.pixels.shape
-    try:
+    with errors_about(options.scene):
         circles = [
             balls.checked_ball(x, y, radius, (height, width))
             for x, y, radius in given.get("circle", ())
@@ -117,8 +118,6 @@ def _of_ball(
             fov,
             None if asked == "auto" else asked,
         )
-    except InputError as error:
-        raise InputError(f"{options.scene}: {error}") from None
     if albedo is not None and found.kind == "mirror":
         raise InputError("--albedo: has no meaning with a mirror ball")
     lamps = Lamps(

@@ -25,6 +25,7 @@ from pbrfit.scene.arrays import SHAPE_PICTURES_MIN
 from pbrfit.scene.options import ReadOptions
 from pbrfit.scene.scene import Scene
 from pbrfit.values.arrays import Codes
+from pbrfit.values.checks import errors_about
 
 FLAGS: dict[str, network.Flags] = {
     "marigold": {
@@ -128,11 +129,8 @@ def _run_pictures(options: argparse.Namespace) -> int:
             f"found {count}"
         )
     scene = reading.load(folder, Scene, ReadOptions(**given), pictures_alone=True)
-    try:
-        with fit_steps(quiet=options.quiet) as show:
-            found = normals_from_pictures(scene, threads=threads, progress=show)
-    except InputError as error:
-        raise InputError(f"{folder}: {error}") from None
+    with errors_about(folder), fit_steps(quiet=options.quiet) as show:
+        found = normals_from_pictures(scene, threads=threads, progress=show)
     normals, sigma, height, lamps, left_open = found
     inside = nearest_inside(scene.valid)
     paths = completion.add_normals(

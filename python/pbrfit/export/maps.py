@@ -74,9 +74,7 @@ class Maps:
 
         deviation = None
         if result.uncertainty is not None:
-            of = result.uncertainty.deviation
-            stacked = np.dstack([of.albedo, of.roughness, of.metallic])
-            deviation = filled("deviation", stacked)
+            deviation = filled("deviation", result.uncertainty.deviation.planes)
         return cls(
             albedo=filled("albedo", result.albedo),
             roughness=filled("roughness", result.roughness),

@@ -26,6 +26,7 @@ import numpy as np
 from pbrfit._core import InputError
 from pbrfit.io.color import encode_srgb
 from pbrfit.model.lamps import Lamps
+from pbrfit.model.lighting import spread_directions
 from pbrfit.model.reflection import sh_basis
 from pbrfit.result import metrics
 from pbrfit.result.relighting import relight
@@ -194,11 +195,7 @@ def _planes(result: Result) -> tuple[Codes, Array, Array, float]:
 
 def directions() -> Array:
     """(DIRECTIONS, 3) unit vectors to lights, evenly spread over the hemisphere of the viewer."""
-    index = np.arange(DIRECTIONS)
-    z = 1 - (index + 0.5) / DIRECTIONS * (1 - np.sin(np.radians(LOWEST)))
-    around = index * np.pi * (3 - np.sqrt(5))
-    across = np.sqrt(1 - z * z)
-    return np.stack([across * np.cos(around), across * np.sin(around), z], axis=-1)
+    return spread_directions(DIRECTIONS, 1 - np.sin(np.radians(LOWEST)))
 
 
 def basis(light: Array) -> Array:

@@ -6,7 +6,7 @@ noise. None of this changes a deviation.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.penalties import idle_priors
 from pbrfit.result.light_sides import main_directions, one_side
 from pbrfit.result.options import Priors
+from pbrfit.result.uncertainty import Uncertainty
 from pbrfit.result.verdict import Verdict, doubted
 from pbrfit.scene.arrays import CHANNELS
 from pbrfit.scene.scene import Scene
@@ -28,7 +29,7 @@ FEW_PICTURES = 6
 
 
 def with_causes(
-    verdicts: Mapping[str, Verdict],
+    uncertainty: Uncertainty,
     scene: Scene,
     *,
     normals: Floats,
@@ -36,7 +37,6 @@ def with_causes(
     shown: Shown | None,
     transport: Transport,
     lighting: Array | None,
-    albedo_scale: tuple[float, float, float],
     albedo: Floats,
 ) -> dict[str, Verdict]:
     """Verdicts with cause and remedy, where maps are not usable.
@@ -49,12 +49,12 @@ def with_causes(
         name: verdict
         if verdict.level == "usable"
         else replace(verdict, cause=cause, remedy=f"{remedy} would help")
-        for name, verdict in verdicts.items()
+        for name, verdict in uncertainty.verdicts.items()
     }
-    of_albedo = found["albedo"]
-    by_scale = np.nanmean(np.square(albedo)) * np.mean(albedo_scale) ** 2
+    of_albedo, scale = found["albedo"], np.mean(uncertainty.albedo_scale)
+    by_scale = np.nanmean(np.square(albedo)) * scale**2
     if of_albedo.level != "usable" and by_scale > 0.5 * of_albedo.expected_error**2:
-        cause = f"the brightness of albedo is uncertain by {100 * np.mean(albedo_scale):.0f} %"
+        cause = f"the brightness of albedo is uncertain by {100 * scale:.0f} %"
         remedy = "a patch of known albedo (option white) would help"
         found["albedo"] = replace(of_albedo, cause=cause, remedy=remedy)
     if shown is None:

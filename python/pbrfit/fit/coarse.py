@@ -87,7 +87,7 @@ def rounds(
             if number == 0:  # what the given ones can explain, first
                 fit_level(objective, x, held_normals=True)
             prior = normals.prior(objective, x, number)
-            fixed = GaussianPrior(prior.prior_mean(x), prior.precision)
+            fixed = prior.held(x)
         elif number < dielectric:
             sum_sq = objective.put_best_albedo(x, objective.everything)
             prior = fixed = dielectric_prior(objective, sum_sq)

@@ -246,14 +246,13 @@ def _result(
     uncertainty = found.uncertainty
     if uncertainty is not None:
         verdicts = with_causes(
-            uncertainty.verdicts,
+            uncertainty,
             scene,
             normals=found.normals,
             discrepancy=found.discrepancy,
             shown=found.shown,
             transport=transport,
             lighting=found.lighting if found.lamps is None else None,
-            albedo_scale=uncertainty.albedo_scale,
             albedo=found.materials.albedo,
         )
         verdicts = capped(verdicts, chosen.held_out)
@@ -386,8 +385,7 @@ def _metrics(scene: Scene, fit: FitOutput, model: Model, threads: int) -> dict[s
     if truth is None:
         return found
     found |= material_errors(materials, truth.materials)
-    scaled = metrics.scaled_per_channel(materials.albedo, truth.materials.albedo)
-    found["albedo_scaled_rmse"] = metrics.rmse(scaled, truth.materials.albedo)
+    found["albedo_scaled_rmse"] = metrics.scaled_rmse(materials.albedo, truth.materials.albedo)
     if truth.relight_images is not None and truth.relight_lighting is not None:
         lights = truth.relight_lighting
         among = fit.surrounded

@@ -36,10 +36,10 @@ from pbrfit.fit.independent_lights import Shown
 from pbrfit.fit.normal_equations import inverted, known_materials
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.pixels import Pixels, fit_level
+from pbrfit.fit.pixels import fit_level
 from pbrfit.fit.priors.population import METALLIC_DEVIATION, ROUGHNESS_DEVIATION
 from pbrfit.fit.priors.posterior import Pooling
-from pbrfit.fit.sampling import evenly_spaced, pairs_apart, pixel_index
+from pbrfit.fit.sampling import Pixels, evenly_spaced, pairs_apart, pixel_index
 from pbrfit.values.arrays import Array
 
 

@@ -33,6 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit.objective import Objective
+from pbrfit.fit.sampling import Pixels
 from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.model.estimates import reduced
 from pbrfit.model.materials import Materials
@@ -109,7 +110,7 @@ def mismatch(scene: Scene) -> str:
     return f"{why} (at least {CORRELATION_MIN}), so they seem to be of another view"
 
 
-def evidence(objective: Objective, pixels: NDArray[np.uint64], nodes: Array) -> NDArray[np.float32]:
+def evidence(objective: Objective, pixels: Pixels, nodes: Array) -> NDArray[np.float32]:
     """E of some pixels at roughness and metallic of nodes (K, 2): (Q, K); (Q, 1) of 1 without any.
 
     What is unknown adds nothing.

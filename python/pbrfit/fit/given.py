@@ -43,7 +43,7 @@ from pbrfit.fit.scale import IRRADIANCE
 from pbrfit.fit.settings import COMPARE_PIXELS_MIN
 from pbrfit.fit.windows import cut, strided_window, without_shape
 from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
-from pbrfit.model.geometry import facing_away, view_directions
+from pbrfit.model.geometry import facing_away, unit, view_directions
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import DEFAULT_MODEL, Model, sh_basis
 from pbrfit.scene.arrays import consecutive_labels
@@ -243,8 +243,7 @@ def _turned_lamps(lamps: Lamps | None) -> dict[str, Lamps]:
     if lamps is None or lamps.near.any():
         return {}
     places = {which: lamps.places @ turn.T for which, turn in _turns().items()}
-    lengths = {which: np.linalg.norm(of, axis=-1, keepdims=True) for which, of in places.items()}
-    return {which: replace(lamps, places=of / lengths[which]) for which, of in places.items()}
+    return {which: replace(lamps, places=unit(of)) for which, of in places.items()}
 
 
 def _of_lamps(matt: _Matt) -> Contradiction | None:
@@ -364,8 +363,7 @@ class _Matt:
         sums = np.bincount(self._patches, (usable * np.minimum(residuals, 1.0)).sum(axis=1))
         counts = np.bincount(self._patches, usable.sum(axis=1))
         normals = np.full((*self.scene.valid.shape, 3), np.nan)
-        lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
-        normals[self.scene.valid] = vectors / np.maximum(lengths, TINY)
+        normals[self.scene.valid] = unit(vectors, TINY)
         return sums / np.maximum(counts, 1), normals
 
 

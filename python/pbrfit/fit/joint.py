@@ -32,10 +32,10 @@ from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.misfit import variance
 from pbrfit.fit.normal_equations import as_in_x
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.pixels import Pixels, fit_all, place, taken, try_from
+from pbrfit.fit.pixels import fit_all, place, taken, try_from
 from pbrfit.fit.preconditioner import Solve, conjugate_gradients, preconditioner
 from pbrfit.fit.priors.gaussian import GaussianPrior
-from pbrfit.fit.sampling import evenly_spaced_over
+from pbrfit.fit.sampling import Pixels, evenly_spaced_over
 from pbrfit.values.arrays import Array
 
 Stop = Callable[[], bool]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit import settings
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.sampling import groups_of, pixel_index, stride
+from pbrfit.fit.sampling import Pixels, groups_of, pixel_index, stride
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,7 +18,7 @@ class Level:
 
     objective: Objective
     """Of these pixels alone."""
-    pixels: NDArray[np.uint64]
+    pixels: Pixels
     """Which of the whole's pixels they are."""
     index: NDArray[np.intp]
     """By row and column of the subset, the position in `pixels`; −1 where there is none."""
@@ -31,7 +31,7 @@ class Level:
         pixels = found[found >= 0].astype(np.uint64)
         return cls(objective.restricted(pixels), pixels, pixel_index(found >= 0))
 
-    def patches(self, side: int = settings.PATCH_SIDE) -> list[NDArray[np.uint64]]:
+    def patches(self, side: int = settings.PATCH_SIDE) -> list[Pixels]:
         """Positions in `pixels` of square pieces of the picture, of so many pixels a side."""
         rows, columns = np.nonzero(self.index >= 0)
         patch = rows // side * (self.index.shape[1] // side + 1) + columns // side

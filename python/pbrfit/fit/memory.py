@@ -29,14 +29,12 @@ UNKNOWN_BYTES: dict[Solver, int] = {"gauss-newton": 76, "lbfgsb": 420}
 """Bytes of any fit; of a piece of work, as many at once as threads, and a pixel of each; and an
 unknown. A room of 256² with 16 pictures took 124 MiB by two threads."""
 
-REFINING_BYTES = 60 << 20
 REFINING_PIXEL_BYTES = 450
-"""Bytes while normals are refined, beside pieces of work, and a pixel of these: with 16
-pictures 256² took 295 to 311 MiB in all by two threads and 437 by four, 512² took 666 by two."""
+"""Bytes of a pixel while normals are refined, beside two more pieces of work: with 16 pictures
+256² took 295 to 311 MiB in all by two threads and 437 by four, 512² took 666 by two."""
 
 TABLE_ROWS: dict[Model, int] = {"paper": 5, "principled": 11}
-TABLE_COLUMNS = len(BAND_OF)
-"""Rows of a pixel's table of surroundings, by model, and SH functions that each has a value of."""
+"""Rows of a pixel's table of surroundings, by model, with a value of each SH function."""
 
 CGROUP_FILES = {
     1: ("memory/", "memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
@@ -106,13 +104,13 @@ def of_fit(
     pieces = min(threads or processors(), AT_ONCE_MAX)
     fit = FIXED_BYTES + (in_core + max(in_core, of_unknowns)) * pixels
     fit += pieces * (PIECE_BYTES + PIECE_PIXEL_BYTES * pixels)
-    refining = REFINING_BYTES + pieces * PIECE_BYTES
+    refining = (2 + pieces) * PIECE_BYTES
     refining += (3 * in_core + REFINING_PIXEL_BYTES) * pixels
     fit = max(fit, (3 << 20) * layout.pictures)  # joint steps with a lamp in each
     tables = 0
     if transport != "none":
         reflected = 0 if transport == "occlusion" else samples
-        tables = 4 * TABLE_ROWS[model] * (2 * TABLE_COLUMNS + 3 * reflected) * pixels
+        tables = 4 * TABLE_ROWS[model] * (2 * len(BAND_OF) + 3 * reflected) * pixels
         tables += 2 * 4 * reflected * layout.valid.size
     return FitMemory(
         scene=held,

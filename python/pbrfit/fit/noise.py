@@ -43,8 +43,8 @@ from numpy.typing import NDArray
 from pbrfit.fit import settings
 from pbrfit.fit.normal_equations import by_unknowns, products
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.pixels import Pixels, pieces
-from pbrfit.fit.sampling import slices
+from pbrfit.fit.pixels import pieces
+from pbrfit.fit.sampling import Pixels, slices
 from pbrfit.fit.tails import StudentT, Tails, likeliest
 from pbrfit.io.limits import AT_LEAST, AT_MOST
 from pbrfit.threads import in_pieces

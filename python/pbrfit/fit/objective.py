@@ -15,6 +15,7 @@ from pbrfit._core import InputError
 from pbrfit.fit import settings
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.penalties import penalties
+from pbrfit.fit.sampling import Pixels
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model, chosen_model, whole_number
 from pbrfit.result.options import Priors, unit_interval
@@ -152,7 +153,7 @@ class Objective:
         self.lighting = layout.lighting
 
     @property
-    def everything(self) -> NDArray[np.uint64]:
+    def everything(self) -> Pixels:
         """(P,): indices of all pixels, as the core takes them."""
         return np.arange(self.pixels, dtype=np.uint64)
 
@@ -203,7 +204,7 @@ class Objective:
             lights = np.linalg.solve(gram, right[..., None])[..., 0].transpose(1, 2, 0)
         return np.concatenate([maps, lights.ravel()])
 
-    def put_best_albedo(self, x: Array, pixels: NDArray[np.uint64]) -> Array:
+    def put_best_albedo(self, x: Array, pixels: Pixels) -> Array:
         """Put the albedo of some pixels to what fits best to the rest of x, which changes.
 
         Returned is the weighted sum of squared residuals that each of these pixels, given by
@@ -346,7 +347,7 @@ class Objective:
         """Whether some samples of the scene are limits."""
         return self._scene.limits is not None
 
-    def limits(self, pixels: NDArray[np.uint64]) -> Codes | None:
+    def limits(self, pixels: Pixels) -> Codes | None:
         """(N, Q, C): which samples of some pixels are limits, as in `Scene`; None where none is."""
         limits = self._scene.limits
         if limits is None:
@@ -354,13 +355,13 @@ class Objective:
         rows = limits.reshape(len(limits), -1, limits.shape[-1])
         return rows[:, self._all_places()[pixels], : self.channels]
 
-    def pictures(self, pixels: NDArray[np.uint64]) -> Array:
+    def pictures(self, pixels: Pixels) -> Array:
         """(N, Q, C): some pixels' samples in the unit of x."""
         places = self._all_places()[pixels]
         samples = [self._scene.samples(i, places) for i in range(self.layout.pictures)]
         return np.stack(samples)[..., : self.channels] / self._by_picture
 
-    def file_variances(self, pixels: NDArray[np.uint64]) -> Array | None:
+    def file_variances(self, pixels: Pixels) -> Array | None:
         """(N, Q, C): the variances that files' encoding left, in units of x; None if none did."""
         places, found = self._all_places()[pixels], None
         for i, unit in enumerate(self._units):
@@ -372,7 +373,7 @@ class Objective:
             found[i] = np.square(sigma[:, : self.channels].astype(np.float64) / unit)
         return found
 
-    def estimated_finish(self, pixels: NDArray[np.uint64]) -> Array | None:
+    def estimated_finish(self, pixels: Pixels) -> Array | None:
         """(Q, 2): roughness and metallic of some pixels as the scene's estimates have them."""
         estimates = self._scene.estimates
         if estimates is None:
@@ -386,7 +387,7 @@ class Objective:
         """As of the scene."""
         return self._scene.file_correlation
 
-    def places_in(self, whole: Scene, pixels: NDArray[np.uint64] | None = None) -> NDArray[np.intp]:
+    def places_in(self, whole: Scene, pixels: Pixels | None = None) -> NDArray[np.intp]:
         """Where some pixels, or all, are in the picture that this one is, or is a window of."""
         places = self._all_places()[slice(None) if pixels is None else pixels]
         window = getattr(self._scene, "window", None)
@@ -420,7 +421,7 @@ class Objective:
         found, _ = correction.directions(shown)
         return [(one / self._by_picture).transpose(1, 0, 2) for one in found]
 
-    def restricted(self, pixels: NDArray[np.uint64], shares: Array | None = None) -> Objective:
+    def restricted(self, pixels: Pixels, shares: Array | None = None) -> Objective:
         """The objective of some pixels alone, in the same units; squares, without penalties.
 
         With `shares` (Q,), at most 1, samples of a pixel weigh as much less.
@@ -452,12 +453,12 @@ class Objective:
         found.problem = found._problem(found.sample_weights)
         return found
 
-    def part_of(self, x: Array, pixels: NDArray[np.uint64]) -> Array:
+    def part_of(self, x: Array, pixels: Pixels) -> Array:
         """X of `restricted(pixels)` from an x of this objective."""
         maps = x[self.layout.maps].reshape(-1, self.pixels)[:, pixels]
         return np.concatenate([maps.ravel(), x[self.layout.maps.stop :]])
 
-    def put_part(self, x: Array, pixels: NDArray[np.uint64], part: Array) -> None:
+    def put_part(self, x: Array, pixels: Pixels, part: Array) -> None:
         """Undo `part_of`: give x the maps of these pixels, and the lights, of `part`."""
         maps = x[self.layout.maps].reshape(-1, self.pixels)
         of_pixels, lights = np.split(part, [len(maps) * len(pixels)])
@@ -543,11 +544,8 @@ class Objective:
             raise InputError("x: expected finite numbers, found NaN or infinity")
         albedo = np.broadcast_to(x[self.albedo].reshape(self.channels, -1).T, (self.pixels, 3))
         metallic = self.known_metallic if self.metallic is None else x[self.metallic]
-        materials = Materials(
-            self.layout.whole(albedo),
-            self.layout.whole(x[self.roughness]),
-            self.layout.whole(np.broadcast_to(np.asarray(metallic), self.pixels)),
-        )
+        metallic = np.broadcast_to(np.asarray(metallic), self.pixels)
+        materials = Materials(albedo, x[self.roughness], metallic).each(self.layout.whole)
         if self._scene.lighting is not None:
             return materials, self._scene.lighting.copy()
         lighting = np.zeros((self.layout.pictures, 16, 3))

@@ -6,15 +6,12 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit.fit import settings
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.gaussian import GaussianPrior
-from pbrfit.fit.sampling import beside, slices
+from pbrfit.fit.sampling import Pixels, beside, slices
 from pbrfit.values.arrays import Array, Mask
-
-Pixels = NDArray[np.uint64]
 
 NODES = (
     np.linspace(*settings.DESCENT_ROUGHNESS_NODES),

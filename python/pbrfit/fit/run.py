@@ -28,6 +28,7 @@ from pbrfit.result.camera import Camera
 from pbrfit.result.data import Stage, Status
 from pbrfit.result.history import HistoryRow
 from pbrfit.result.options import FitOptions
+from pbrfit.result.verdict import PARAMETERS
 from pbrfit.scene.scene import Scene
 from pbrfit.steps import step
 from pbrfit.values.arrays import Array
@@ -258,12 +259,6 @@ class Run(Trace):
         later._last = math.nan, math.nan
         return later
 
-    def through(self, scene: Scene) -> Run:
-        """The same with a scene of other normals."""
-        later = copy.copy(self)
-        later.scene = scene
-        return later
-
     def see(self, nuisances: Nuisances) -> None:
         """Take the camera that was fitted: from here on all pixels see through it."""
         self.scene = nuisances.scene
@@ -349,7 +344,7 @@ class State:
 
 def material_errors(found: Materials, true: Materials) -> dict[str, float]:
     """Root mean square errors of the maps."""
-    names = ("albedo", "roughness", "metallic")
     return {
-        f"{name}_rmse": metrics.rmse(getattr(found, name), getattr(true, name)) for name in names
+        f"{name}_rmse": metrics.rmse(getattr(found, name), getattr(true, name))
+        for name in PARAMETERS
     }

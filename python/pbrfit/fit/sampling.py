@@ -13,8 +13,14 @@ from numpy.typing import NDArray
 from pbrfit.fit.settings import STRIDED_SUBSET_EXCESS
 from pbrfit.values.arrays import Array, Floats, Mask
 
+Pixels = NDArray[np.uint64]
+"""Indices, in order."""
 
-def evenly_spaced(count: int, at_most: int) -> NDArray[np.uint64]:
+Labels = NDArray[np.intp]
+"""One for each pixel."""
+
+
+def evenly_spaced(count: int, at_most: int) -> Pixels:
     """Indices below `count`, spread evenly and in order: all of them, or `at_most`.
 
     The range is cut into equal pieces, and one index is taken from each, at fractions that follow
@@ -28,14 +34,14 @@ def evenly_spaced(count: int, at_most: int) -> NDArray[np.uint64]:
     return np.asarray(borders[:-1] + (fraction * np.diff(borders)).astype(np.int64), np.uint64)
 
 
-def groups_of(labels: NDArray[np.integer[Any]]) -> list[NDArray[np.uint64]]:
+def groups_of(labels: NDArray[np.integer[Any]]) -> list[Pixels]:
     """Indices into `labels` (P,), at least one, of each label, in order."""
     order = np.argsort(labels, kind="stable").astype(np.uint64)
     starts = np.flatnonzero(np.diff(labels[order], prepend=labels.min() - 1))
     return np.split(order, starts[1:])
 
 
-def evenly_spaced_over(labels: NDArray[np.intp], at_most: int) -> NDArray[np.uint64]:
+def evenly_spaced_over(labels: Labels, at_most: int) -> Pixels:
     """Indices into `labels` (P,), in order, at most so many: spread evenly in each label.
 
     Half of them are shared out equally between labels, so that small ones are represented; what
@@ -46,9 +52,8 @@ def evenly_spaced_over(labels: NDArray[np.intp], at_most: int) -> NDArray[np.uin
     groups = groups_of(labels)
     order, share = np.concatenate(groups), at_most // 2 // len(groups)
     taken = np.zeros(len(labels), dtype=bool)
-    if share:
-        for of_label in groups:
-            taken[of_label[evenly_spaced(len(of_label), share)]] = True
+    for of_label in groups:
+        taken[of_label[evenly_spaced(len(of_label), share)]] = True
     rest = order[~taken[order]]
     taken[rest[evenly_spaced(len(rest), at_most - int(np.count_nonzero(taken)))]] = True
     return np.flatnonzero(taken).astype(np.uint64)

@@ -27,7 +27,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.fit import misfit, settings
@@ -36,12 +35,10 @@ from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.normal_equations import as_in_x
 from pbrfit.fit.objective import Objective, in_channels
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.pixels import Pixels, fit_all
+from pbrfit.fit.pixels import fit_all
 from pbrfit.fit.priors.gaussian import GaussianPrior
-from pbrfit.fit.sampling import evenly_spaced, groups_of
+from pbrfit.fit.sampling import Labels, Pixels, evenly_spaced, groups_of
 from pbrfit.values.arrays import Array, Mask
-
-Labels = NDArray[np.intp]
 
 IRRADIANCE = np.repeat([np.pi, 2 * np.pi / 3, np.pi / 4, 0.0], [1, 3, 5, 7])
 """A_l of each coefficient of a light."""
@@ -80,7 +77,7 @@ def refer(
     """X with lights whose scale gives the pixels at (column, row) the albedo that is the third."""
     x, (column, row, value) = x.copy(), white
     region = reference_region(objective.layout.valid, column, row)
-    held = None if prior is None else GaussianPrior(prior.prior_mean(x), prior.precision)
+    held = None if prior is None else prior.held(x)
     moved = np.zeros(objective.layout.light_channels)
     for _ in range(settings.WHITE_STEPS_MAX):
         albedo = x[objective.albedo].reshape(objective.channels, -1)[:, region]
@@ -168,7 +165,7 @@ def _at_end(
             np.full(shape, 0.5), np.full(shape, settings.UNIFORM_PRECISION * noise)
         )
     else:
-        prior = GaussianPrior(prior.prior_mean(x)[pixels], prior.precision[pixels])
+        prior = prior.held(x).rows(pixels)
     shared = SharedFit(LightPrior.around(few, part).weighing(noise, noise, few.pixels))
     fit = JointFit(few, part, sum_sq, shared, prior)
     return fit, noise / misfit.independent_share(few, part), pixels

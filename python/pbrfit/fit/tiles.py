@@ -24,7 +24,7 @@ from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.run import FitSetup, Run, State
 from pbrfit.fit.sampling import pixel_index
 from pbrfit.fit.whole_picture import FitOutput, Start, fit_pixels, output_of, uncertainty_of
-from pbrfit.fit.windows import Tile, Window, cut, cut_maps, strided_window, tiles
+from pbrfit.fit.windows import Tile, Window, cut, strided_window, tiles
 from pbrfit.model.materials import Materials, nearest_inside
 from pbrfit.result.data import Stage, Status
 from pbrfit.result.options import FitOptions
@@ -134,7 +134,7 @@ class _Subset:
             for (here, there), length in zip(pairs, self.maps.shape[:2], strict=True)
         ]
         maps = self.maps[np.ix_(*(place.astype(np.intp) for place in places))]
-        return Materials(maps[..., :3], maps[..., 3], maps[..., 4]), maps[..., 5:]
+        return Materials.of_planes(maps), maps[..., 5:]
 
 
 def _fit_subset(
@@ -154,9 +154,9 @@ def _fit_subset(
     if start is not None:
         materials, lights = start
         # As a whole, for a window of others may fit too.
-        for name in ("albedo", "roughness", "metallic"):
-            valid_values(name, getattr(materials, name), scene.valid)
-        start = cut_maps(materials, window), lights
+        for name, values in vars(materials).items():
+            valid_values(name, values, scene.valid)
+        start = materials.each(window.of), lights
     part = cut(scene, window)
     state, refinement = fit_pixels(part, replace(setup, options=options), start, units)
     run = state.run
@@ -165,8 +165,7 @@ def _fit_subset(
         began = time.perf_counter()
         state = replace(state, discrepancy=state.judged())
         run.unmeasured += time.perf_counter() - began
-    maps = [materials.albedo, materials.roughness[..., None], materials.metallic[..., None]]
-    whole = np.concatenate([*maps, np.asarray(run.scene.normals)], axis=-1)
+    whole = np.dstack([materials.planes, np.asarray(run.scene.normals)])
     whole = whole[nearest_inside(window.of(scene.valid))]
     return _Subset(state, refinement, lighting, window, whole)
 
@@ -215,9 +214,8 @@ class _Maps:
         """Keep what a tile found inside, with its posteriors."""
         objective, part = found.run.objective, found.run.scene
         materials, _ = objective.unpack(found.x)
-        for name in ("albedo", "roughness", "metallic"):
-            kept = tile.inside.of(getattr(materials, name))
-            tile.inner.of(getattr(self.materials, name))[...] = kept
+        for name, values in vars(materials).items():
+            tile.inner.of(getattr(self.materials, name))[...] = tile.inside.of(values)
         tile.inner.of(self.normals)[...] = tile.inside.of(part.normals)
         if self.spread is None:
             return

@@ -25,7 +25,7 @@ from pbrfit.fit.joint import JointFit, SharedFit, minimize
 from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import fit_level
-from pbrfit.fit.sampling import evenly_spaced
+from pbrfit.fit.sampling import Pixels, evenly_spaced
 from pbrfit.lazy import lazy
 from pbrfit.scene.scene import Scene
 from pbrfit.transport.decision import Kind, Transport, candidates
@@ -53,7 +53,7 @@ class Surrounded:
     def tables(
         self,
         objective: Objective,
-        pixels: NDArray[np.uint64] | None = None,
+        pixels: Pixels | None = None,
         *,
         rays: int = settings.TRANSPORT_RAYS,
     ) -> PixelTransfer | None:

@@ -41,7 +41,7 @@ from pbrfit.fit.priors.population import (
     ROUGHNESS_DEVIATION,
 )
 from pbrfit.fit.priors.posterior import Distributions, Grid, Posterior
-from pbrfit.fit.sampling import slices
+from pbrfit.fit.sampling import Pixels, slices
 from pbrfit.model.materials import Materials
 from pbrfit.result.uncertainty import TWO_SIDED, Uncertainty
 from pbrfit.result.verdict import by_deviations
@@ -103,7 +103,7 @@ def _of_pixels(
     x: Array,
     discrepancy: Discrepancy,
     posterior: Posterior | None,
-    pixels: NDArray[np.uint64],
+    pixels: Pixels,
     mean_albedo: Array,
 ) -> Spread:
     problem, for_core, c = objective.problem, objective.for_core(x), objective.channels

@@ -164,10 +164,9 @@ def fit_pixels(
         refined = bool(turned.max() >= CHANGE_DEGREES_MIN)
     if setup.refines and not refined:
         # All pixels were given theirs back, or found that they had been right, or had no time.
-        run = state.run.through(scene.through(state.run.scene.fov))
-        state = replace(state, run=run)
+        state.run.scene = scene.through(state.run.scene.fov)
         why = "no other normals explain the pictures better"
-        why = refined_fit.OUT_OF_TIME if run.out_of_time() else why
+        why = refined_fit.OUT_OF_TIME if state.run.out_of_time() else why
     return _with_scale(state, setup.options), Refinement(asked, refined, why)
 
 

@@ -16,7 +16,6 @@ from pbrfit.io.color import Conversion
 from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.lazy import lazy
 from pbrfit.model import geometry
-from pbrfit.model.materials import Materials
 from pbrfit.scene.arrays import SceneArrays, Truth, equal_channels
 from pbrfit.scene.scene import Scene
 from pbrfit.values.arrays import Array, Codes, Mask
@@ -126,17 +125,10 @@ def cut(scene: Scene, window: Window) -> PartialScene:
         if parts[name] is not None:
             parts[name] = parts[name][:, window.rows, window.columns]
     if scene.truth is not None:
-        parts["truth"] = Truth(cut_maps(scene.truth.materials, window))
+        parts["truth"] = Truth(scene.truth.materials.each(window.of))
     if scene.estimates is not None:
-        parts["estimates"] = cut_maps(scene.estimates, window)
+        parts["estimates"] = scene.estimates.each(window.of)
     return PartialScene(**parts, whole=scene, window=window)
-
-
-def cut_maps(materials: Materials, window: Window) -> Materials:
-    """Some rows and columns of maps."""
-    return Materials(
-        window.of(materials.albedo), window.of(materials.roughness), window.of(materials.metallic)
-    )
 
 
 def without_shape(scene: Scene) -> Scene:

@@ -541,5 +541,4 @@ def _of_exr(path: Path, data: bytes, layer: str | None) -> _Decoded:
     else:
         color = "linear, converted from the EXR's chromaticities"
     color = f"layer {shown(of)}, {color}" if of else color
-    samples = np.stack(found, axis=-1)
-    return _Decoded(samples, linear, color, premultiplied=True, limits=limits)
+    return _Decoded(np.stack(found, axis=-1), linear, color, premultiplied=True, limits=limits)

@@ -9,7 +9,8 @@ import json
 import math
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import is_dataclass
 from functools import partial
 from itertools import repeat
@@ -37,10 +38,8 @@ def read_json(path: Path, expected: str) -> Any:
     Raises InputError if it is not JSON, as NaN is not, or deep beyond reason, or no regular file.
     """
     content = read_text(path, TEXT_BYTES)
-    try:
+    with expecting(path, expected):
         return json.loads(content, parse_constant=lambda name: number(float(name)))
-    except (ValueError, RecursionError) as error:
-        raise unfit(path, expected, error) from None
 
 
 def toml_of(path: Path | str, content: str) -> dict[str, Any]:
@@ -69,6 +68,15 @@ def _check_whole(value: Any) -> None:
 def unfit(path: Path | str, expected: str, error: Exception) -> InputError:
     """Say that a file does not hold what was expected; `error` is one of `UNFIT`."""
     return InputError(f"{path}: expected {expected}, found {type(error).__name__}: {shown(error)}")
+
+
+@contextmanager
+def expecting(path: Path | str, expected: str) -> Iterator[None]:
+    """Where what a file holds is looked at: one of `UNFIT` is raised as `unfit`."""
+    try:
+        yield
+    except UNFIT as error:
+        raise unfit(path, expected, error) from None
 
 
 def number(value: Any) -> float:

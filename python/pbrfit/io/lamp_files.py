@@ -19,7 +19,7 @@ from typing import Any
 
 from pbrfit._core import InputError
 from pbrfit.io.input_files import LIST_BYTES, read_text
-from pbrfit.io.json_files import UNFIT, number, read_json, table, text, unfit, write_json
+from pbrfit.io.json_files import expecting, number, read_json, table, text, unfit, write_json
 from pbrfit.values.quoting import listed, quoted, shown
 
 log = logging.getLogger("pbrfit")
@@ -264,7 +264,7 @@ def _as_json(row: dict[str, str]) -> dict[str, Any]:
 
 def _of_json(path: Path) -> list[LampRow]:
     expected = "JSON with version and lamps, each with picture and direction or position"
-    try:
+    with expecting(path, expected):
         content = table(read_json(path, expected))
         if "lights" in content:
             return _of_meshroom(path, content["lights"])
@@ -275,8 +275,6 @@ def _of_json(path: Path) -> list[LampRow]:
         version, lamps = content["version"], list(content["lamps"])
         if version != VERSION:
             raise ValueError(f"version {quoted(version)} in place of {VERSION}")
-    except UNFIT as error:
-        raise unfit(path, expected, error) from None
     return rows_of_json(path, lamps)
 
 
@@ -288,11 +286,9 @@ def _of_meshroom(path: Path, lights: Any) -> list[LampRow]:
     expected, views = "one .sfm file beside it with the paths of its views", _names(path)
     if len(views) != 1:
         raise InputError(f"{path}: expected {expected}, found {len(views)}")
-    try:
+    with expecting(views[0], "views with viewId and path"):
         found = [table(view) for view in table(read_json(views[0], expected))["views"]]
         names = {str(view["viewId"]): text(view["path"]) for view in found}
-    except UNFIT as error:
-        raise unfit(views[0], "views with viewId and path", error) from None
 
     def entry(light: Any) -> dict[str, Any]:
         x, y, z = map(float, light["direction"])
@@ -309,11 +305,8 @@ def rows_of_json(
     if len(lamps) > LAMPS_MAX:
         raise InputError(f"{path}: expected at most {LAMPS_MAX} lamps, found {len(lamps)}")
     for i, lamp in enumerate(lamps):
-        try:
+        with expecting(f"{path}: lamp {i + 1}", "picture and direction or position"):
             rows.append(_from_json(entry(lamp)))
-        except UNFIT as error:
-            where = f"{path}: lamp {i + 1}"
-            raise unfit(where, "picture and direction or position", error) from None
     return rows
 
 

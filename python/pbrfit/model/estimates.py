@@ -15,13 +15,11 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io.resampling import averaged_channels
-from pbrfit.model.materials import Materials
-from pbrfit.values.checks import real_array
+from pbrfit.model.materials import CHANNELS, Materials
+from pbrfit.values.checks import errors_about, real_array
 from pbrfit.values.quoting import listed
 
 ESTIMATES_FILE = "estimates.exr"
-
-CHANNELS = ("albedo.R", "albedo.G", "albedo.B", "roughness.Y", "metallic.Y")
 
 
 def of_maps(maps: Mapping[str, NDArray[Any]], size: tuple[int, int]) -> Materials:
@@ -48,12 +46,13 @@ def known_maps(estimates: Materials) -> dict[str, NDArray[Any]]:
 
 def reduced(estimates: Materials, size: tuple[int, int]) -> Materials:
     """Averaged down to (height, width), unknown where a part of a new pixel is."""
-    return _of_planes(averaged_channels(_planes(estimates), size).astype(np.float32))
+    averaged = averaged_channels(estimates.planes, size).astype(np.float32)
+    return Materials.of_planes(averaged)
 
 
 def write(path: Path, estimates: Materials) -> None:
     """Write the channels that have known values."""
-    channels = zip(CHANNELS, np.moveaxis(_planes(estimates), -1, 0), strict=True)
+    channels = zip(CHANNELS, np.moveaxis(estimates.planes, -1, 0), strict=True)
     images.write_exr(path, {name: of for name, of in channels if np.isfinite(of).any()})
 
 
@@ -64,16 +63,6 @@ def read(path: Path) -> Materials:
     if not known:
         raise InputError(f"{path}: expected some of {listed(CHANNELS)}, found {listed(stored)}")
     unknown = np.full_like(known[0], np.nan)
-    planes = _of_planes(np.stack([stored.get(name, unknown) for name in CHANNELS], axis=-1))
-    try:
-        return of_maps(vars(planes), unknown.shape)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-
-
-def _planes(of: Materials) -> NDArray[Any]:
-    return np.dstack([of.albedo, of.roughness, of.metallic])
-
-
-def _of_planes(planes: NDArray[Any]) -> Materials:
-    return Materials(planes[..., :3], planes[..., 3], planes[..., 4])
+    planes = np.stack([stored.get(name, unknown) for name in CHANNELS], axis=-1)
+    with errors_about(path):
+        return of_maps(vars(Materials.of_planes(planes)), unknown.shape)

@@ -23,6 +23,11 @@ DIAGONAL_35MM = math.hypot(36.0, 24.0)
 """Diagonal in millimetres of the frame that EXIF's 35 mm equivalent focal length refers to."""
 
 
+def unit(vectors: Floats, least: float = 0.0) -> Array:
+    """Vectors (..., N) of length 1; those shorter than `least` are divided by that."""
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), least))
+
+
 def view_directions(
     height: int,
     width: int,

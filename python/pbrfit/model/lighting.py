@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pbrfit._core import InputError
-from pbrfit.io.json_files import UNFIT, read_as, read_json, table, unfit, write_json
+from pbrfit.io.json_files import expecting, read_as, read_json, table, write_json
 from pbrfit.io.lamp_files import LENGTH_OFF_MAX, rows_of_json, unit
 from pbrfit.model.lamps import Lamps, entries_of_lamps, lamps_of_rows
 from pbrfit.model.reflection import sh_basis
@@ -70,7 +70,7 @@ class Lighting:
         """
         parts = "JSON with basis, order, pictures and coefficients"
         content = read_json(path, parts)
-        try:
+        with expecting(path, parts):
             content = table(content)
             basis, order = content["basis"], content["order"]
             pictures = read_as(tuple[str, ...], content["pictures"])
@@ -79,8 +79,6 @@ class Lighting:
                 raise ValueError(f"coefficients of type {stored.dtype}")
             coefficients = stored.astype(np.float64)
             lamps = _listed(content)
-        except UNFIT as error:
-            raise unfit(path, parts, error) from None
         if (basis, order) != (BASIS, ORDER):
             raise InputError(
                 f"{path}: expected basis {BASIS!r} of order {ORDER}, "
@@ -166,10 +164,10 @@ def rotated(coefficients: ArrayLike, degrees: float) -> NDArray[np.float64]:
     return turned
 
 
-def spread_directions(count: int) -> NDArray[np.float64]:
-    """Directions that are spread evenly over the sphere, on a spiral: (count, 3)."""
+def spread_directions(count: int, height: float = 2.0) -> NDArray[np.float64]:
+    """Directions spread evenly, on a spiral, over a cap of the unit sphere around Z: (count, 3)."""
     index = np.arange(count)
-    z = 1 - (2 * index + 1) / count
+    z = 1 - (index + 0.5) / count * height
     around = index * np.pi * (3 - np.sqrt(5))
     radius = np.sqrt(1 - z * z)
     return np.stack([radius * np.cos(around), radius * np.sin(around), z], axis=-1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.values.quoting import listed
+
+CHANNELS = ("albedo.R", "albedo.G", "albedo.B", "roughness.Y", "metallic.Y")
+"""What EXR files call the planes of materials, in the order of `Materials.planes`."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,29 @@ class Materials:
         """In a line, without the maps."""
         return f"Materials({self.roughness.shape[1]} × {self.roughness.shape[0]})"
 
+    @property
+    def planes(self) -> NDArray[Any]:
+        """(H, W, 5): albedo, roughness and metallic."""
+        return np.dstack([self.albedo, self.roughness, self.metallic])
+
+    @classmethod
+    def of_planes(cls, planes: NDArray[Any]) -> Materials:
+        """Undo `planes`."""
+        return cls(planes[..., :3], planes[..., 3], planes[..., 4])
+
+    def each(self, change: Callable[[NDArray[Any]], NDArray[Any]]) -> Materials:
+        """What a function makes of each of the maps."""
+        return Materials(*map(change, (self.albedo, self.roughness, self.metallic)))
+
+    def within(self, valid: NDArray[np.bool_]) -> Materials:
+        """Clipped to [0, 1], in float64, NaN outside of `valid` (H, W)."""
+
+        def kept(plane: NDArray[Any]) -> NDArray[np.float64]:
+            where = valid if plane.ndim == 2 else valid[..., None]
+            return np.where(where, np.clip(plane.astype(np.float64), 0, 1), np.nan)
+
+        return self.each(kept)
+
 
 def write_materials(
     path: Path,
@@ -56,9 +82,7 @@ def write_materials(
     """
     nearest = nearest_inside(mask)
     layers = {
-        **{f"albedo.{name}": materials.albedo[..., c] for c, name in enumerate("RGB")},
-        "roughness.Y": materials.roughness,
-        "metallic.Y": materials.metallic,
+        **dict(zip(CHANNELS, np.moveaxis(materials.planes, -1, 0), strict=True)),
         **{f"normal.{name}": normals[..., c] for c, name in enumerate("XYZ")},
         **(more or {}),
     }

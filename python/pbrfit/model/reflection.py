@@ -243,7 +243,7 @@ def render_rows(
     model: Model,
 ) -> Array:
     """Some rows of what `render` gives for lights (N, 16, 3): (N, rows, W, 3)."""
-    part = Materials(materials.albedo[rows], materials.roughness[rows], materials.metallic[rows])
+    part = materials.each(lambda plane: plane[rows])
     height, width = materials.roughness.shape
     views = view_directions(height, width, fov, rows)
     view = View.of_maps(part, normals[rows], fov, views)

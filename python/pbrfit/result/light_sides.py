@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pbrfit.model.geometry import unit
 from pbrfit.values.arrays import Array, Floats
 
 ONE_SIDE = 0.9
@@ -18,8 +19,7 @@ def main_directions(lighting: Floats) -> Array:
     """(N, 3): unit vectors to where most light of each picture (N, K, 3) comes from."""
     of_light, tiny = np.asarray(lighting, np.float64), np.finfo(np.float64).tiny
     directions = (of_light / max(np.abs(of_light).max(), tiny))[:, [3, 1, 2]].mean(axis=-1)  # xyz
-    lengths = np.linalg.norm(directions, axis=-1, keepdims=True)
-    return np.asarray(directions / np.maximum(lengths, tiny))
+    return unit(directions, tiny)
 
 
 def one_side(directions: Floats) -> tuple[str, str] | None:

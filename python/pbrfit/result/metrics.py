@@ -86,6 +86,11 @@ def scaled_per_channel(found: Floats, true: Floats) -> Array:
         return np.asarray(found * factor)
 
 
+def scaled_rmse(found: Floats, true: Floats) -> float:
+    """`rmse` after the best factor per channel."""
+    return rmse(scaled_per_channel(found, true), true)
+
+
 def white_of(radiance: Floats) -> float:
     """What to show as white: the 98th percentile of the entries that are not NaN; 1 if not above 0.
 

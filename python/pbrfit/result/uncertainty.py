@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.io.json_files import as_json, read_as
-from pbrfit.model.materials import Materials
+from pbrfit.model.materials import CHANNELS, Materials
 from pbrfit.result.verdict import PARAMETERS, Verdict, verdicts_of
 
 KINDS = ("", "low.", "high.")
@@ -65,10 +65,8 @@ class Uncertainty:
 
     def layers(self) -> dict[str, NDArray[Any]]:
         """Maps (H, W) by channel name in `materials.exr`, in the order of `layer_names`."""
-        maps: list[NDArray[Any]] = []
-        for values in (self.deviation, self.low, self.high):
-            maps += [*np.moveaxis(values.albedo, -1, 0), values.roughness, values.metallic]
-        return dict(zip(layer_names(), maps, strict=True))
+        maps = np.dstack([of.planes for of in (self.deviation, self.low, self.high)])
+        return dict(zip(layer_names(), np.moveaxis(maps, -1, 0), strict=True))
 
     @classmethod
     def of(
@@ -79,18 +77,14 @@ class Uncertainty:
         Raises one of `json_files.UNFIT` if they gave something else.
         """
         maps = np.stack([layers[name] for name in layer_names()], axis=-1).astype(np.float64)
-
-        def values(kind: int) -> Materials:
-            first = 5 * kind
-            inside = np.where(mask[..., None], maps[..., first : first + 5], np.nan)
-            return Materials(inside[..., :3], inside[..., 3], inside[..., 4])
-
+        inside = np.where(mask[..., None], maps, np.nan)
+        deviation, low, high = map(Materials.of_planes, np.split(inside, len(KINDS), axis=-1))
         if not ((maps[mask] >= 0) & (maps[mask] <= 1)).all():
             raise ValueError("deviations or bounds that are NaN or not from 0 to 1")
         return cls(
-            deviation=values(0),
-            low=values(1),
-            high=values(2),
+            deviation=deviation,
+            low=low,
+            high=high,
             **{name: read_as(get_type_hints(cls)[name], summary[name]) for name in NUMBERS},
             verdicts=verdicts_of(summary),
         )
@@ -98,5 +92,4 @@ class Uncertainty:
 
 def layer_names() -> list[str]:
     """Channels of `materials.exr` that hold an uncertainty."""
-    parts = [*(f"albedo.{channel}" for channel in "RGB"), "roughness.Y", "metallic.Y"]
-    return [f"uncertainty.{kind}{part}" for kind in KINDS for part in parts]
+    return [f"uncertainty.{kind}{part}" for kind in KINDS for part in CHANNELS]

@@ -200,8 +200,7 @@ def lights_of_balls(
     find = _in_mirror if kind == "mirror" else _on_matt
     found = [[find(piece, i, name) for i, name in enumerate(names)] for piece in pieces]
     directions = np.array([[one.direction for one in row] for row in found])
-    mean = directions.sum(axis=0)
-    mean /= np.linalg.norm(mean, axis=-1, keepdims=True)
+    mean = geometry.unit(directions.sum(axis=0))
     apart = geometry.angles_between(directions[:, None], directions).max(axis=(0, 1)) / 2
     sure = np.sqrt(np.mean([[one.degrees**2 for one in row] for row in found], axis=0))
     return BallLights(

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit._core import InputError
 from pbrfit.io.input_files import there
 from pbrfit.io.lamp_files import LAMP_FILES, find_lamps, write_lamps
 from pbrfit.io.normal_files import NORMAL_FILES, find_normals, write_normals
@@ -20,7 +19,7 @@ from pbrfit.scene import folder as scene_folder
 from pbrfit.scene.folder import HEIGHT_FILE
 from pbrfit.scene.writing import write_height
 from pbrfit.values.arrays import Array, Floats
-from pbrfit.values.checks import any_array
+from pbrfit.values.checks import any_array, errors_about
 
 
 def picture_size(folder: Path) -> tuple[int, int]:
@@ -87,10 +86,8 @@ def add_normals(
 def _to_convention(folder: Path, normals: Floats) -> Array:
     """Normals (..., 3) of camera space as the folder's `scene.toml` says they are written."""
     settings = scene_folder.read_settings(folder / "scene.toml")
-    try:
+    with errors_about(folder / "scene.toml"):
         return settings.convention.from_camera(normals)
-    except InputError as error:
-        raise InputError(f"{folder / 'scene.toml'}: {error}") from None
 
 
 def add_map(

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
+from pbrfit.model.geometry import unit
 from pbrfit.values.arrays import Array, Mask
 
 
@@ -55,8 +56,7 @@ def outline(mask: Mask, views: Array) -> Outline:
         return none
     view = views[rows, columns]
     outward = np.concatenate([slope, np.zeros((len(rows), 1))], axis=1)
-    outward -= np.einsum("ei,ei->e", outward, view)[:, None] * view
-    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    outward = unit(outward - np.einsum("ei,ei->e", outward, view)[:, None] * view)
     radius = local_radius(distance)[rows, columns]
     across = 1 - np.clip(distance[rows, columns] / radius, 0.0, 1.0)[:, None]
     return Outline(rows, columns, across * outward + np.sqrt(1 - across**2) * view)
@@ -91,11 +91,8 @@ def rough_shape(mask: Mask, views: Array) -> Array:
     depth = gaussian_filter(distance, scale, mode="nearest")
     down, right = np.gradient(depth)
     share = np.clip(distance / radius, 0.0, 1.0)
-    slope = np.stack([-right, down], axis=-1)
-    length = np.linalg.norm(slope, axis=-1, keepdims=True)
-    slope /= np.maximum(length, 1e-3)
+    slope = unit(np.stack([-right, down], axis=-1), 1e-3)
     facing = np.sqrt(1 - (1 - share) ** 2)[..., None]
     normals = np.concatenate([slope * np.sqrt(1 - facing**2), facing], axis=-1)
     normals[..., :2] += views[..., :2]
-    length = np.linalg.norm(normals, axis=-1, keepdims=True)
-    return np.asarray(normals / np.maximum(length, 1e-12))
+    return unit(normals, 1e-12)

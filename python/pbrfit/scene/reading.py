@@ -61,6 +61,7 @@ from pbrfit.scene.options import AS_STATED, ReadOptions, Settings, Source
 from pbrfit.scene.plateaus import plateaus
 from pbrfit.threads import in_turn
 from pbrfit.values.arrays import Array, Codes, Mask
+from pbrfit.values.checks import errors_about
 from pbrfit.values.quoting import listed, quoted, shown
 
 log = logging.getLogger("pbrfit")
@@ -242,7 +243,7 @@ def load(
         truth = _read_truth(folder / "truth", names, size if full_size == notes.size else (0, 0))
     named = tuple(map(files.relative, files.pictures)) if files.named else ()
     kept = read.different(notes)
-    try:
+    with errors_about(folder):
         found = kind(
             images=read.pixels,
             normals=normals,  # type: ignore[arg-type]  # None = unknown
@@ -267,8 +268,6 @@ def load(
             response=None if read.curve_told or changed or notes.how.color_matrix else "srgb",
         )
         return found if len(kept) == len(names) else found.of_pictures(kept)
-    except InputError as error:
-        raise InputError(f"{folder}: {error}") from None
 
 
 @dataclass(frozen=True, eq=False)
@@ -728,10 +727,8 @@ def _read_depth(notes: _Notes) -> scene_depth.Depth | None:
         return None
     stored, how = read_depth(path, METRES[notes.how.depth_unit or "m"], own=True)
     stored = stored[notes.window(path, stored.shape)]
-    try:
+    with errors_about(path):
         depth, holes = scene_depth.without_holes(stored)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
     said = f"{path.name}: {scene_depth.in_words(depth)}"
     notes.assumed["depth"] = "; ".join([said, *how, *holes])
     return depth
@@ -745,7 +742,7 @@ def _read_estimates(notes: _Notes) -> Materials | None:
     found = of_tools.read(path)
     rows, columns = notes.window(path, found.roughness.shape)
     notes.assumed["estimates"] = f"{listed(of_tools.known_maps(found))} from {path.name}"
-    return Materials(*(plane[rows, columns] for plane in vars(found).values()))
+    return found.each(lambda plane: plane[rows, columns])
 
 
 def _averaged(
@@ -790,10 +787,8 @@ def _read_normals(notes: _Notes, mask: Mask) -> tuple[Array, NDArray[np.float32]
     whole[window] = mask
     read = read_normals(path, whole)
     _expect_size(path, read.vectors.shape[:2], notes.size)
-    try:
+    with errors_about(folder / "scene.toml"):
         normals = notes.settings.convention.to_camera(read.vectors[window])
-    except InputError as error:
-        raise InputError(f"{folder / 'scene.toml'}: {error}") from None
     said = ", ".join([path.name, *read.said, str(notes.settings.convention)])
     none = mask & np.isnan(normals[..., 0])
     if none.any():

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.model.geometry import unit
 from pbrfit.values.arrays import Array
 
 
@@ -64,7 +65,7 @@ class Sphere(Primitive):
         distance = -b - np.sqrt(np.maximum(discriminant, 0.0))
         hit = (discriminant > 0.0) & (distance > 0.0)
         points = origin + distance[:, None] * directions
-        normals = points / np.linalg.norm(points, axis=-1, keepdims=True)
+        normals = unit(points)
         return np.where(hit, distance, np.inf), normals
 
 
@@ -110,7 +111,7 @@ class Cylinder(Primitive):
             round_side = side >= cap_near[:, 0]
         normals = np.zeros_like(directions)
         normals[:, ::2] = start + np.where(round_side, distance, 0.0)[:, None] * across
-        normals[:, ::2] /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-300)
+        normals = unit(normals, 1e-300)
         caps = np.stack([0 * a, -np.sign(directions[:, 1]), 0 * a], axis=-1)
         return np.where(hit, distance, np.inf), np.where(round_side[:, None], normals, caps)
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.polynomial.legendre import poly2leg
 
 from pbrfit._core import InputError
+from pbrfit.model.geometry import unit
 from pbrfit.model.reflection import sh_basis
 from pbrfit.values.arrays import Array
 
@@ -73,16 +74,14 @@ def condition(lights: Array) -> float:
 def _draw(count: int, rng: np.random.Generator, sh_order: int) -> Array:
     """One set of lightings, (N, 16, 3)."""
     shape = (count, 1 + _FILLS)
-    directions = rng.normal(size=(*shape, 3))
-    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    directions = unit(rng.normal(size=(*shape, 3)))
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     # Of key lights a Fibonacci spiral: spread evenly over the sphere.
     i = np.arange(count) + 0.5
     z, azimuth = 1 - 2 * i / count, np.pi * (1 + np.sqrt(5)) * i
     ring = np.sqrt(1 - z**2)
     directions[:, 0] = np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z], axis=-1) @ turn
-    directions += _TOWARDS_VIEWER
-    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    directions = unit(directions + _TOWARDS_VIEWER)
 
     strength = rng.uniform(0.1, 0.45, size=shape)
     strength[:, 0] = 1.0

@@ -105,15 +105,22 @@ def value_noise(rng: np.random.Generator, scale: float, octaves: int) -> Pattern
         total = np.zeros(len(points))
         for octave in range(octaves):
             position = points * (2**octave / scale) + offset[octave]
-            corner = np.floor(position)
-            f = position - corner
-            f = f * f * (3 - 2 * f)
-            i, j, k = corner.astype(np.int64).T % cells
-            value = np.zeros(len(points))
-            for a, b, c in np.ndindex(2, 2, 2):
-                weight = np.prod(np.where([a, b, c], f, 1 - f), axis=-1)
-                value += weight * table[octave, (i + a) % cells, (j + b) % cells, (k + c) % cells]
+            value = lattice(table[octave], position, lambda f: f * f * (3 - 2 * f))
             total += 1.4 * value / 2**octave
         return total
 
     return noise
+
+
+def lattice(table: Array, position: Array, fade: Callable[[Array], Array]) -> Array:
+    """Values (P,) of a periodic table (K, K, K) at positions (P, 3), joined by smooth steps."""
+    cells = len(table)
+    corner = np.floor(position)
+    f = fade(position - corner)
+    i, j, k = corner.astype(np.int64).T % cells
+    ends = np.stack([1 - f, f])
+    value = np.zeros(len(position))
+    for a, b, c in np.ndindex(2, 2, 2):
+        weight = ends[a, :, 0] * ends[b, :, 1] * ends[c, :, 2]
+        value += weight * table[(i + a) % cells, (j + b) % cells, (k + c) % cells]
+    return value

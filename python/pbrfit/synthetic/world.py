@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.model.geometry import view_directions
+from pbrfit.model.geometry import unit, view_directions
 from pbrfit.model.materials import Materials
 from pbrfit.synthetic.geometry import Primitive, trace
 from pbrfit.synthetic.surfaces import Spots, Surface
@@ -99,4 +99,4 @@ def _to_viewer(normals: Array, views: Array) -> Array:
     """
     facing = np.einsum("pi,pi->p", normals, views)
     tilted = normals + np.maximum(_LEAST_FACING - facing, 0.0)[:, None] * views
-    return np.asarray(tilted / np.linalg.norm(tilted, axis=-1, keepdims=True))
+    return unit(tilted)

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError, poisson_heights
+from pbrfit.model.geometry import unit
+from pbrfit.values.arrays import Array, Mask
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Sides = tuple[NDArray[Any], NDArray[Any]]
 
 LEAST_FACING = 0.2
@@ -72,7 +72,7 @@ class Relief:
         """(h, w, 3) unit normals of tangent planes: tilted so that none is seen from the side."""
         away = np.maximum(_dot(self.normals, self.directions) + LEAST_FACING, 0.0)
         tilted = self.normals - away[..., None] * self.directions
-        return np.asarray(tilted / np.linalg.norm(tilted, axis=-1, keepdims=True))
+        return unit(tilted)
 
     @property
     def footprint(self) -> Array:
@@ -98,7 +98,7 @@ def rays(
     if fov == 0:
         return flat, ahead
     directions = math.tan(math.radians(fov) / 2) * flat + ahead
-    return np.zeros_like(flat), directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+    return np.zeros_like(flat), unit(directions)
 
 
 def relief(points: Array, normals: Array, mask: Mask, fov: float, most: int) -> Relief:
@@ -216,7 +216,7 @@ def _normals(points: Array, normals: Array, mask: Mask, directions: Array) -> Ar
     found = np.where(given[..., None], normals, _by_differences(points))
     found = np.where(np.isfinite(found).all(axis=-1, keepdims=True), found, -directions)
     found[~np.isfinite(points).all(axis=-1)] = np.nan
-    return np.asarray(found / np.linalg.norm(found, axis=-1, keepdims=True))
+    return unit(found)
 
 
 def _by_differences(points: Array) -> Array:
@@ -230,7 +230,7 @@ def _by_differences(points: Array) -> Array:
         sides.append(np.where((length[0] <= length[1])[..., None], after, before))
     normals = np.cross(sides[0], -sides[1])
     with np.errstate(invalid="ignore"):
-        return np.asarray(normals / np.linalg.norm(normals, axis=-1, keepdims=True))
+        return unit(normals)
 
 
 def _dot(a: Array, b: Array) -> Array:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pbrfit.transport.decision import Extents
-from pbrfit.transport.relief import Array
 from pbrfit.transport.walls import AGREES, UPRIGHT, Wall, upwards
+from pbrfit.values.arrays import Array
 
 EYE = 1.6
 """Metres above the floor of a camera that a person holds: what the metres below are told by."""

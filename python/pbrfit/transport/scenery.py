@@ -17,14 +17,15 @@ from numpy.typing import ArrayLike, NDArray
 from pbrfit import _core
 from pbrfit._core import InputError
 from pbrfit.lazy import lazy
-from pbrfit.model.geometry import positions, view_directions
+from pbrfit.model.geometry import positions, unit, view_directions
 from pbrfit.model.materials import Materials, nearest_inside
 from pbrfit.model.reflection import Model
 from pbrfit.transport.decision import Extents, Transport
-from pbrfit.transport.relief import Array, Mask, Relief, rays, relief
+from pbrfit.transport.relief import Relief, rays, relief
 from pbrfit.transport.room import counted, default_extents, name_of, rectangles
 from pbrfit.transport.sheet import sheets, triangles, widths
 from pbrfit.transport.walls import Wall, find_walls
+from pbrfit.values.arrays import Array, Mask
 
 RAYS = 2048
 """Rays of a pixel, about. Tables are then within 1 % of those of ten times as many."""
@@ -198,7 +199,7 @@ class Scenery:
             }
         rows, bounced = self._core.transfer(
             np.where(np.isnan(starts), far, starts),
-            normals / np.linalg.norm(normals, axis=-1, keepdims=True),
+            unit(normals),
             views(shape, self.fov, places),
             places.astype(np.uint64),
             rays=rays,
@@ -241,7 +242,7 @@ class Scenery:
                     np.ascontiguousarray(one.reshape(self.mask.size, -1)[piece], np.float64)
                     for one in (normals, materials.albedo, materials.roughness, materials.metallic)
                 )
-                n = n / np.linalg.norm(n, axis=-1, keepdims=True)
+                n = unit(n)
                 tables = self.transfer(
                     piece, model, rays=rays, threads=threads, images=images, normals=n
                 )

@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.transport.relief import Array, Mask, Relief, pairs, pieces, rays
+from pbrfit.transport.relief import Relief, pairs, pieces, rays
+from pbrfit.values.arrays import Array, Mask
 
 _CORNERS = ((0, 0), (0, 1), (1, 1), (1, 0))
 """Rows and columns of a pixel's corners, clockwise from the upper left."""

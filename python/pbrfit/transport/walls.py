@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pbrfit.transport.relief import Array, Mask, Relief, pairs, pieces
+from pbrfit.transport.relief import Relief, pairs, pieces
+from pbrfit.values.arrays import Array, Mask
 
 FLAT, MOST_SPREAD = 0.7, 0.08
 """Share of a region that has the normal of its plane, at least, and root mean square distance of

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from math import inf, isfinite
 from typing import Any, get_args
 
@@ -81,3 +82,12 @@ def of_what(value: Any) -> str:
     if isinstance(value, np.ndarray) and value.size > 4:
         return f"an array of {value.dtype} of shape {value.shape}"
     return quoted(value)
+
+
+@contextmanager
+def errors_about(path: object) -> Iterator[None]:
+    """Let an InputError in the block begin with the file or folder that it is about."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None

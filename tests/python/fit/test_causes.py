@@ -12,6 +12,8 @@ from pbrfit.fit import causes
 from pbrfit.fit.discrepancy import Discrepancy
 from pbrfit.fit.independent_lights import NUMBERS_MIN, Shown
 from pbrfit.io.limits import AT_LEAST
+from pbrfit.model.materials import Materials
+from pbrfit.result.uncertainty import Uncertainty
 from pbrfit.result.verdict import PARAMETERS, Verdict, level_of
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
@@ -41,11 +43,13 @@ def said(scene: Scene, error: float = 0.2, **facts: Any) -> dict[str, Verdict]:
         "shown": None,
         "transport": Transport(),
         "lighting": around(len(scene.images)),
-        "albedo_scale": (0.0, 0.0, 0.0),
         "albedo": np.full((8, 8, 3), 0.5),
     } | facts
     verdicts = {name: Verdict(level_of(name, error), error) for name in PARAMETERS}
-    return causes.with_causes(verdicts, scene, **given)
+    scale = given.pop("albedo_scale", (0.0, 0.0, 0.0))
+    maps = Materials.of_planes(np.full((8, 8, 5), error))
+    uncertainty = Uncertainty(maps, maps, maps, None, 1.0, scale, verdicts)
+    return causes.with_causes(uncertainty, scene, **given)
 
 
 def test_usable_maps_need_no_excuse(scene: Scene) -> None:

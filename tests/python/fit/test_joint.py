@@ -53,7 +53,7 @@ def joint_fit(objective: Objective, priors: str = "alone", **options: Any) -> Jo
         mean = rng.uniform(0.2, 0.8, (objective.pixels, len(blocks)))
         cluster = rng.permutation(np.arange(objective.pixels) % 5) if priors == "clusters" else None
         prior = GaussianPrior(mean, rng.uniform(0.01, 0.05, mean.shape), cluster, blocks)
-        fixed = GaussianPrior(prior.prior_mean(x), prior.precision)
+        fixed = prior.held(x)
     sum_sq = fitted(objective, x, fixed)
     lights = replace(LightPrior.around(objective, x), noise=1e-4, grey=1e-5)
     return JointFit(objective, x, sum_sq, SharedFit(lights), prior, **options)

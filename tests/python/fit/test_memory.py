@@ -30,7 +30,7 @@ FIT = """
 import sys
 
 import pbrfit
-from pbrfit.batch.process_memory import forget_peak, peak_kib, resident_kib
+from pbrfit.batch.process_memory import forget_peak, status_kib
 from pbrfit.fit import memory
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.synthetic import make_scene
@@ -45,12 +45,12 @@ def room(size, lights):
 scene = room(256, 16)
 pbrfit.decompose(room(16, 4), iterations=3)  # imports
 forget_peak()
-before = resident_kib()
+before = status_kib("VmRSS")
 options = {"solver": solver, "refine_normals": refine, "light": "sh", "iterations": 30}
 pbrfit.decompose(scene, threads=threads, **options)
 layout, refines = ParameterLayout.of(scene), refine == "on"
 said = memory.of_fit(layout, solver, held=0, refine_normals=refines, threads=threads)
-print(1024 * (peak_kib() - before), said.further)
+print(1024 * (status_kib("VmHWM") - before), said.further)
 """
 
 
@@ -200,7 +200,7 @@ import sys
 import numpy as np
 
 import pbrfit
-from pbrfit.batch.process_memory import forget_peak, peak_kib, resident_kib
+from pbrfit.batch.process_memory import forget_peak, status_kib
 from pbrfit.fit import memory
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
@@ -224,11 +224,11 @@ objective = Objective(scene, model=model)
 surrounded.tables(objective, np.arange(100, dtype=np.uint64), rays=8)  # imports
 vars(surrounded).pop("images", None)
 forget_peak()
-before = resident_kib()
+before = status_kib("VmRSS")
 objective = objective.among(surrounded.tables(objective, rays=8))
 layout = ParameterLayout.of(scene)
 said = memory.of_fit(layout, "gauss-newton", held=0, transport=kind, model=model)
-print(1024 * (peak_kib() - before), said.tables)
+print(1024 * (status_kib("VmHWM") - before), said.tables)
 """
 
 

@@ -31,6 +31,7 @@ the lights: the coarse level of a two-level method.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +43,6 @@ from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import pieces, taken
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.mixture import prior_at
-from pbrfit.fit.priors.posterior import PURE_NODES
 from pbrfit.fit.sampling import pairs_apart
 from pbrfit.values.arrays import Array
 
@@ -55,7 +55,6 @@ class Neighbourhood:
     """(E, 2) indices."""
     weights: Array
     """(E,): w = e^(−|Δn|²/0.1) of the given normals, less where these are known to be unsure."""
-    count: int
 
     @classmethod
     def of(
@@ -74,16 +73,17 @@ class Neighbourhood:
             mean = normal_sigma.mean()
             of_pairs = 0.5 * (normal_sigma[first] + normal_sigma[second])
             weights /= (np.maximum(of_pairs, settings.NORMALS_GIVEN_SIGMA_MIN * mean) / mean) ** 2
-        return cls(pairs.T, weights, len(normals))
+        return cls(pairs.T, weights)
 
     def sums(self, values: Array, weights: Array) -> Array:
         """Σ over the neighbours of each pixel of `weights` (E,) times their `values` (P, ·)."""
         first, second = self.pairs.T
+        count = partial(np.bincount, minlength=len(values))
         found = np.zeros_like(values)
-        for column in range(values.shape[1]):
-            found[:, column] = np.bincount(
-                first, weights * values[second, column], minlength=self.count
-            ) + np.bincount(second, weights * values[first, column], minlength=self.count)
+        for column, value in enumerate(values.T):
+            found[:, column] = count(first, weights * value[second]) + count(
+                second, weights * value[first]
+            )
         return found
 
 
@@ -174,8 +174,7 @@ class FreeNormals:
             return np.zeros_like(precision), precision
         sigmas = settings.NORMALS_MATERIAL_SIGMAS_MIN
         sigma = sigmas[min(later, len(sigmas) - 1)]
-        # With normals free pictures alone do not say that surfaces are of metal or are not.
-        found = prior_at(objective, x, sigma, left, PURE_NODES)
+        found = prior_at(objective, x, sigma, left)
         return found.mean, found.precision
 
     def learn(self, objective: Objective, x: Array, prior: GaussianPrior, left: float) -> None:

@@ -155,28 +155,14 @@ def _find_normals(
 
 
 def fit_held(found: Found, make: Callable[[Scene, bool], Objective]) -> State:
-    """What is found with all priors, by normals that were found."""
-    free, free_x = found.free, found.x.copy()
-    state = _fit_held(found.run, free, free_x, make)
-    run, ended = state.run, state.ended
-    if run.out_of_time():  # perhaps after the fit that has ended
-        ended = run.ended("")
-    if run.objective.lighting is None and free.lighting is not None:
-        without_lights = replace(run.scene, lighting=None)
-        run = run.continued(without_lights, make(without_lights, False))
-    return replace(state, run=run, x=_held_x(free, free_x, run.objective), ended=ended)
+    """What is found with all priors, normals and lights held at those that were found.
 
-
-def _fit_held(
-    run: Run, free: Objective, free_x: Array, make: Callable[[Scene, bool], Objective]
-) -> State:
-    """What is found with all priors, normals and lights held at those of an x of `free`.
-
-    That x changes. Lights are held because a fit to held normals that are a degree off takes
+    Lights are held because a fit to held normals that are a degree off takes
     blurred highlights for weak ones, and makes lights 2 to 12 % too bright and albedo too dark.
     Those of the joint steps, whose normals move along, are not bent so. But joint steps know
     squares only: where more was asked of lights, they are fitted once more.
     """
+    run, free, free_x = found.run, found.free, found.x
     scene, modes = replace(run.scene, normals=free.layout.whole(free.normals(free_x))), None
     if free.lighting is not None:
         of_lights = make(scene, False)
@@ -189,10 +175,13 @@ def _fit_held(
     objective = make(scene, False)
     run = run.continued(scene, objective, light_modes=modes)
     state = solve(run, _held_x(free, free_x, objective), start_given=True)
-    free_x[free.layout.materials] = state.x[objective.layout.materials]
-    if objective.lighting is not None:
-        free_x[free.layout.maps.stop :] = state.x[objective.lighting]
-    return state
+    if run.out_of_time():  # perhaps after the fit that has ended
+        state = replace(state, ended=run.ended(""))
+    if objective.lighting is not None or free.lighting is None:
+        return state
+    without_lights = replace(run.scene, lighting=None)
+    run = run.continued(without_lights, make(without_lights, False))
+    return replace(state, run=run, x=np.concatenate([state.x, free_x[free.layout.lighting]]))
 
 
 def _held_x(free: Objective, free_x: Array, held: Objective) -> Array:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.fit.sampling import Pixels
 from pbrfit.fit.settings import OFFSET_PRECISION_SHARE
 from pbrfit.lazy import lazy
 from pbrfit.values.arrays import Array
@@ -52,7 +53,7 @@ class GaussianPrior:
         ]
         return np.stack(columns, axis=-1)
 
-    def rows(self, pixels: NDArray[np.uint64] | slice) -> GaussianPrior:
+    def rows(self, pixels: Pixels | slice) -> GaussianPrior:
         """The mean and precision of some pixels, without clusters."""
         return GaussianPrior(self.mean[pixels], self.precision[pixels])
 
@@ -62,11 +63,10 @@ class GaussianPrior:
         sums = self.sums(self.precision * deviation)
         return sums / ((1 + OFFSET_PRECISION_SHARE) * self.cluster_precision)
 
-    def prior_mean(self, x: Array) -> Array:
-        """The mean with the best offsets for x, c + δ: (P, F)."""
-        if self.cluster is None:
-            return self.mean
-        return np.asarray(self.mean + self.offsets(x)[self.cluster])
+    def held(self, x: Array) -> GaussianPrior:
+        """The mean with the best offsets for x, c + δ, and the precision, without clusters."""
+        offsets = 0.0 if self.cluster is None else self.offsets(x)[self.cluster]
+        return GaussianPrior(self.mean + offsets, self.precision)
 
     def cost(self, values: Array) -> float:
         """Σ a (v − c)² at values (P, F)."""

@@ -46,7 +46,15 @@ from pbrfit.fit.joint import JointFit, SharedFit, minimize
 from pbrfit.fit.normal_equations import albedo_solved_for
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.gaussian import GaussianPrior
-from pbrfit.fit.priors.posterior import Distributions, Grid, Pooling, Posterior, Stop, labels_of
+from pbrfit.fit.priors.posterior import (
+    PURE_NODES,
+    Distributions,
+    Grid,
+    Pooling,
+    Posterior,
+    Stop,
+    labels_of,
+)
 from pbrfit.fit.sampling import evenly_spaced_over
 from pbrfit.values.arrays import Array, Floats
 
@@ -107,14 +115,12 @@ def fit_prior(
     return None if applied is None else (*applied, fitted)
 
 
-def prior_at(
-    objective: Objective, x: Array, sigma_min: float, variance: float, metallic: Array
-) -> GaussianPrior:
-    """The prior of all pixels at x, fitted to an even share of them; lights stay.
+def prior_at(objective: Objective, x: Array, sigma_min: float, variance: float) -> GaussianPrior:
+    """The prior of all pixels at x, fitted to an even share of them; normals are free, lights stay.
 
-    `metallic` is that of the nodes, and not read where it is known.
+    Pictures alone do not say then that surfaces are of metal or are not.
     """
-    grid = Grid(objective, x, variance, metallic)
+    grid = Grid(objective, x, variance, PURE_NODES)
     posterior = _fit_distributions(grid).of_all(grid)
     assert posterior is not None
     return posterior.prior(sigma_min, variance, objective)

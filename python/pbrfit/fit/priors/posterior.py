@@ -31,13 +31,11 @@ from pbrfit.fit.estimates import evidence
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.population import population
-from pbrfit.fit.sampling import slices
+from pbrfit.fit.sampling import Labels, Pixels, slices
 from pbrfit.lazy import lazy
 from pbrfit.threads import in_pieces
 from pbrfit.values.arrays import Array, Floats
 
-Pixels = NDArray[np.uint64]
-Labels = NDArray[np.intp]
 Stop = Callable[[], bool]
 
 ROUGHNESS_NODES = np.linspace(*settings.PRIOR_ROUGHNESS_NODES)

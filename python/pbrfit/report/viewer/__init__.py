@@ -15,7 +15,6 @@ import json
 import math
 from collections.abc import Sequence
 from html import escape
-from importlib.resources import files
 from string import Template
 from typing import Any
 
@@ -25,7 +24,7 @@ from pbrfit._core import environment_lobes
 from pbrfit.display.tone import encoded
 from pbrfit.model.reflection import Model, ggx_band_weights
 from pbrfit.report import figures, raster
-from pbrfit.report.html import address, in_base64
+from pbrfit.report.html import address, in_base64, text_of
 from pbrfit.report.viewer import film, maps
 from pbrfit.report.viewer.film import Tile
 from pbrfit.report.viewer.lights import Lighting, exposure_of
@@ -175,7 +174,7 @@ def _tables(model: Model) -> dict[str, Any]:
 
 
 def _text(name: str) -> str:
-    return files(__package__).joinpath(name).read_text(encoding="utf-8")
+    return text_of(f"viewer/{name}")
 
 
 def _json(content: Any) -> str:

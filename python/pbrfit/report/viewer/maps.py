@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import lobe_table
-from pbrfit.model.geometry import view_directions
+from pbrfit.model.geometry import unit, view_directions
 from pbrfit.model.materials import Materials
 from pbrfit.report.html import in_base64
 from pbrfit.report.raster import reduced
@@ -37,24 +37,13 @@ def of_result(result: Result, max_side: int) -> Maps:
     Larger ones are averaged over the area that falls on each new pixel, its part in the mask alone,
     and normals made unit vectors again. A new pixel is valid if half of its area is.
     """
-    albedo, roughness, metallic, normals = (
-        reduced(values, max_side)
-        for values in (result.albedo, result.roughness, result.metallic, result.normals)
-    )
+    normals = reduced(result.normals, max_side)
     length = np.linalg.norm(normals, axis=-1)
     # Opposite normals may cancel: such a pixel has no direction, and is shown as outside.
     mask = length > 1e-6
     normals = np.where(mask[..., None], normals / np.where(mask, length, 1.0)[..., None], np.nan)
-    return Maps(
-        Materials(
-            np.where(mask[..., None], np.clip(albedo, 0, 1), np.nan),
-            np.where(mask, np.clip(roughness, 0, 1), np.nan),
-            np.where(mask, np.clip(metallic, 0, 1), np.nan),
-        ),
-        normals,
-        mask,
-        result.fov,
-    )
+    materials = result.materials.each(lambda plane: reduced(plane, max_side)).within(mask)
+    return Maps(materials, normals, mask, result.fov)
 
 
 LARGEST = {
@@ -146,8 +135,7 @@ def _unfolded(found: dict[str, NDArray[np.uint16]]) -> Array:
     flat = np.stack([2 * UNITS[name] * found[name] - 1 for name in ("normal_u", "normal_v")], -1)
     up = 1 - np.sum(np.abs(flat), axis=-1, keepdims=True)
     flat = flat - np.where(flat >= 0, 1.0, -1.0) * np.maximum(-up, 0)
-    normals = np.concatenate([flat, up], axis=-1)
-    return np.asarray(normals / np.linalg.norm(normals, axis=-1, keepdims=True))
+    return unit(np.concatenate([flat, up], axis=-1))
 
 
 def prediction_errors(plane: NDArray[np.uint16]) -> bytes:
