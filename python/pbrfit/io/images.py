@@ -54,6 +54,9 @@ smears clipped areas: of samples that were clipped before a JPEG of quality 75 t
 colour, 15 to 22 % come back with all channels below 254, and 5 to 9 % with all below 251, which
 takes 2 % of the sound samples of bright photographs for clipped."""
 
+NO_SPACE = ("linear", "scene_linear", "data", "raw", "unknown", "")
+"""Names of colour spaces, in lower case, that say no more than a float file does without."""
+
 _OF_CHANNELS = re.compile(
     rb"ImageJ=[^\0]{0,200}\nchannels=[34]\n[^\0]{0,200}mode=co"
     rb"|SizeC=.[34][^>]{0,200}>\s{0,99}<Channel[^>]{0,200}SamplesPerPixel=.1\b"
@@ -162,7 +165,7 @@ def read_picture(
         raise InputError(f"{path}: {expected}, found {color_space}")
     chosen = None if color_space is None or form == RAW else coding.conversion(color_space)
     if form == "EXR":
-        found = _of_exr(path, data, layer)
+        found = _of_exr(path, data, layer, color_space)
     elif form == RAW:
         samples, limits, color, taken = raw_files.develop(path, data, orientation == "exif")
         found = _Decoded(samples, Conversion("linear"), color, taken, limits=limits)
@@ -473,7 +476,7 @@ def _png_color(path: Path, raster: _core.Raster, doubts: list[str]) -> tuple[Con
         doubts.append(f"{path}: read as sRGB; its {chunk} is ignored")
         return Conversion("srgb"), ""
     primaries = _primaries(raster.chromaticities)
-    plain = coding.near_rec709(primaries)
+    plain = coding.near(primaries, coding.REC709)
     # 0.45455 beside the primaries of Rec.709 is what encoders write to mean sRGB.
     usual = plain and abs((raster.gamma or 0.45455) - 0.45455) <= 0.01
     curve = 1 / raster.gamma if raster.gamma and not usual else "srgb"
@@ -497,6 +500,7 @@ def _straight(samples: NDArray[Any]) -> NDArray[Any]:
     """Samples (H, W, 2 or 4), colours over their alpha where that is from a half up to 1."""
     unit = np.iinfo(samples.dtype).max if samples.dtype.kind == "u" else 1
     alpha = samples[..., -1:] / np.float32(unit)
+    samples[np.isnan(alpha[..., 0])] = 0  # nothing covers what is outside of an EXR's data window
     part = (alpha >= 0.5) & (alpha < 1)
     if not part.any():
         return samples
@@ -506,24 +510,23 @@ def _straight(samples: NDArray[Any]) -> NDArray[Any]:
     return np.concatenate([colors.astype(samples.dtype), samples[..., -1:]], axis=-1)
 
 
-def _of_exr(path: Path, data: bytes, layer: str | None) -> _Decoded:
-    channels, chromaticities = _core.decode_exr(data, path)
+def _of_exr(path: Path, data: bytes, layer: str | None, asked: ColorSpace | None) -> _Decoded:
+    channels, chromaticities, spaces = _core.decode_exr(data, path)
     if chromaticities is not None and not any(chromaticities):
         chromaticities = None  # eight zeros are in files that know none
     expected = "channels R, G, B or Y"
     of, names = layers.chosen(path, channels, layers.PICTURE, expected, layer)
     found = [channels[name] for name in names]
     prefix = f"{of}." if of else ""
-    primaries = _primaries(chromaticities)
-    linear = Conversion("linear")
-    if len(found) > 2:
-        linear = _stated(path, "linear", primaries)
-        if names[1].upper() == f"{prefix}RY".upper():
-            # OpenEXR: RY = (R - Y) / Y, BY = (B - Y) / Y, and Y a weighted sum of R, G and B.
-            luma, red, blue = found[0], (found[1] + 1) * found[0], (found[2] + 1) * found[0]
-            weights = coding.rgb_to_xyz(primaries)[1].astype(np.float32)  # they add up to 1
-            green = (luma - weights[0] * red - weights[2] * blue) / weights[1]
-            found[:3] = red, green, blue
+    named = ", ".join(dict.fromkeys(one for one in spaces if one.lower() not in NO_SPACE))
+    curve, primaries = _named(path, named, chromaticities, asked)
+    convert = _stated(path, curve, primaries) if len(found) > 2 else Conversion(curve)
+    if len(found) > 2 and names[1].upper() == f"{prefix}RY".upper():
+        # OpenEXR: RY = (R - Y) / Y, BY = (B - Y) / Y, and Y a weighted sum of R, G and B.
+        luma, red, blue = found[0], (found[1] + 1) * found[0], (found[2] + 1) * found[0]
+        weights = coding.rgb_to_xyz(primaries)[1].astype(np.float32)  # they add up to 1
+        green = (luma - weights[0] * red - weights[2] * blue) / weights[1]
+        found[:3] = red, green, blue
     limits = None
     of_limits = [f"{prefix}{LIMITS}.{channel}" for channel in "RGB"]
     if channels.keys() >= set(of_limits):
@@ -532,9 +535,11 @@ def _of_exr(path: Path, data: bytes, layer: str | None) -> _Decoded:
             expected = f"0, 1 or 2 in channels {prefix}{LIMITS}"
             raise InputError(f"{path}: expected {expected}, found others")
         limits = np.stack(stored, axis=-1).astype(np.uint8)
-    if chromaticities is None:
+    if named:
+        color = f"{shown(named)} (named by the EXR)"
+    elif chromaticities is None:
         color = "linear Rec.709 (EXR without chromaticities)"
-    elif coding.near_rec709(primaries):
+    elif coding.near(primaries, coding.REC709):
         color = "linear Rec.709 (chromaticities of the EXR)"
     elif len(found) < 3:
         color = "linear grey (EXR)"
@@ -542,4 +547,26 @@ def _of_exr(path: Path, data: bytes, layer: str | None) -> _Decoded:
         color = "linear, converted from the EXR's chromaticities"
     color = f"layer {shown(of)}, {color}" if of else color
     samples = np.stack(found, axis=-1)
-    return _Decoded(samples, linear, color, premultiplied=True, limits=limits)
+    return _Decoded(samples, convert, color, premultiplied=True, limits=limits)
+
+
+def _named(
+    path: Path, name: str, x_y: Sequence[float] | None, asked: ColorSpace | None
+) -> coding.Space:
+    """The space of an EXR file that may name one and state chromaticities.
+
+    Raises InputError if it is not known, that of these, and the one that is `asked` for, if any.
+    """
+    if not name:
+        return "linear", _primaries(x_y)
+    space, wanted, expected = coding.of_name(name), asked and coding.of_name(asked), ""
+    if wanted:
+        if space not in (None, wanted):
+            expected = f"colour space {asked}, as asked for"
+    elif space is None:
+        expected = "a known colour space, as lin_ap1_scene, or option color_space"
+    elif x_y is not None and not coding.near(space[1], _primaries(x_y)):
+        expected = "the colour space of its chromaticities, or option color_space"
+    if expected:
+        raise InputError(f"{path}: expected {expected}, found {shown(name)}")
+    return space or ("linear", _primaries(x_y))

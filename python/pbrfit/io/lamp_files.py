@@ -196,7 +196,7 @@ def _of_csv(path: Path) -> list[LampRow]:
     named = (",".join(re.sub(r"[\W_]", "", one.casefold()) for one in of) for of in bare)
     heads = [tuple(SYNONYMS.get(n, n) for n in of.rstrip(",").split(",")) for of in named]
     header = next((head for head in heads if {"x", "y", "z"} <= set(head)), ())
-    found, hint, wide = "", "", max(map(len, rows))
+    found, hint, wide, named = "", "", max(map(len, rows)), bool(header)
     if not header and not any(map(re.compile(r"\d").search, rows[0])):
         header = heads[-1]  # of other columns
     if separator == "," and not any("." in cell for row in rows for cell in row[1:]):
@@ -220,6 +220,9 @@ def _of_csv(path: Path) -> list[LampRow]:
             found = f"expected {len(header)} values, found {len(row)}{hint}"
             raise InputError(f"{path}: lamp {i + 1}: {found}")
     lamps = _of_rows(path, header, rows)
+    if not named and _maybe_angles([lamp.place for lamp in lamps if not lamp.near]):
+        found = "none, and numbers that may be azimuth, elevation and a constant radius"
+        raise InputError(f"{path}: expected a header with x, y, z, found {found}")
     for beside in _names(path):
         names = [line.strip() for line in _lines(beside)]
         if len(names) != len(lamps):
@@ -227,6 +230,19 @@ def _of_csv(path: Path) -> list[LampRow]:
             raise InputError(f"{beside}: expected {expected}, found {len(names)}")
         lamps = [replace(lamp, picture=name) for lamp, name in zip(lamps, names, strict=True)]
     return lamps
+
+
+def _maybe_angles(places: Sequence[Vector]) -> bool:
+    """Whether x, y, z may be degrees of azimuth and elevation, and the radius of a dome.
+
+    The third is always the same, though the vectors have no one length, as those to a dome have.
+    """
+    lengths = [math.hypot(*place) for place in places]
+    if not places or max(lengths) <= (1 + LENGTH_OFF_MAX) * min(lengths):
+        return False
+    azimuths, elevations, radii = zip(*places, strict=True)
+    upper = min(elevations) >= 0 and 0 < max(elevations) <= 90
+    return upper and max(map(abs, azimuths)) <= 360 and len(set(radii)) == 1
 
 
 def _cells(line: str, separator: str) -> list[str]:

@@ -7,7 +7,7 @@ import math
 from collections import Counter
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import partial, reduce
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, TypeVar
@@ -465,19 +465,22 @@ def _read_pictures(notes: _Notes, look: int | None = None) -> Pictures:
 
 
 def _tell_bad(read: Pictures, mask: Mask, notes: _Notes) -> None:
-    """Say how many pixels are NaN or infinite; InputError if half of a picture is."""
-    paths, pixels = notes.files.pictures, np.count_nonzero(mask)
-    counts = [0 if bad is None else np.count_nonzero(mask & bad.any(axis=-1)) for bad in read.bad]
+    """Say how many pixels are NaN or infinite; InputError if half of those are that others have."""
+    bad = [np.False_ if one is None else mask & one.any(axis=-1) for one in read.bad]
+    counts = list(map(np.count_nonzero, bad))
     worst = max(counts)
-    path = paths[counts.index(worst)]
     if not worst:
         return
-    if 2 * worst >= pixels:
+    path = notes.files.pictures[counts.index(worst)]
+    common = np.count_nonzero(reduce(np.logical_and, bad))
+    pixels = np.count_nonzero(mask) - common
+    if 2 * (worst - common) >= pixels:
         raise InputError(
-            f"{path}: expected finite pixels, found {worst} of {pixels} that are NaN or infinite; "
-            "a mask can leave them out"
+            f"{path}: expected finite pixels, found {worst - common} of {pixels} that are NaN, "
+            "infinite or outside of the data window; a mask can leave them out"
         )
-    said = f"{sum(counts)} pixels that are NaN or infinite left out, each of its picture alone"
+    said = f"{sum(counts)} pixels that are NaN, infinite or outside of a data window left out, "
+    said += "each of its picture alone"
     notes.assumed["gaps"] = f"{said}; the most in {path.name}, {worst}"
     log.warning("%s: %s", path.parent, notes.assumed["gaps"])
 

@@ -532,7 +532,7 @@ def test_exr_data_window_is_placed_into_the_display_window(tmp_path: Path) -> No
             dataWindow=window(x, y, 9, 6),
             displayWindow=window(*display),
         )
-        plane = np.zeros((100, 100), np.float32)
+        plane = np.full((100, 100), np.nan, np.float32)
         plane[40 + y : 46 + y, 40 + x : 49 + x] = FLOAT[..., 0]
         found = images.read_channels(path)["Y"]
         np.testing.assert_array_equal(found, plane[50:58, 50:62])
