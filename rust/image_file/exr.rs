@@ -101,7 +101,11 @@ fn decode(bytes: &[u8], path: &Path) -> Result<Exr> {
         .iter()
         .map(|header| {
             let data = IntegerBounds::new(header.own_attributes.layer_position, header.layer_size);
-            let untold = if data.contains(display) { 0.0 } else { f32::NAN };
+            let untold = if data.contains(display) {
+                0.0
+            } else {
+                f32::NAN
+            };
             // Made one by one: the system gives zeroed memory when it is first written to, where
             // copies of a zeroed plane would be written at once.
             let planes = header.channels.list.iter();

@@ -67,6 +67,8 @@ _OTHERS = {
     rb"....ftyp(hei[cxms]|hevc|m[is]f1|avif)": "HEIC or AVIF: convert it first, for example with "
     "`heif-convert {0.name} {0.stem}.png`",
     rb"RIFF....WEBP": "WebP",
+    rb"\xff\n|....JXL ": "JPEG XL",
+    rb"version https://git-lfs": "a pointer of Git LFS: fetch the file with `git lfs pull`",
     rb"GIF8": "GIF",
     rb"BM": "BMP",
 }

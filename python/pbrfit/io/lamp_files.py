@@ -196,7 +196,7 @@ def _of_csv(path: Path) -> list[LampRow]:
     named = (",".join(re.sub(r"[\W_]", "", one.casefold()) for one in of) for of in bare)
     heads = [tuple(SYNONYMS.get(n, n) for n in of.rstrip(",").split(",")) for of in named]
     header = next((head for head in heads if {"x", "y", "z"} <= set(head)), ())
-    found, hint, wide, named = "", "", max(map(len, rows)), bool(header)
+    found, hint, wide, titled = "", "", max(map(len, rows)), bool(header)
     if not header and not any(map(re.compile(r"\d").search, rows[0])):
         header = heads[-1]  # of other columns
     if separator == "," and not any("." in cell for row in rows for cell in row[1:]):
@@ -220,7 +220,7 @@ def _of_csv(path: Path) -> list[LampRow]:
             found = f"expected {len(header)} values, found {len(row)}{hint}"
             raise InputError(f"{path}: lamp {i + 1}: {found}")
     lamps = _of_rows(path, header, rows)
-    if not named and _maybe_angles([lamp.place for lamp in lamps if not lamp.near]):
+    if not titled and _maybe_angles([lamp.place for lamp in lamps if not lamp.near]):
         found = "none, and numbers that may be azimuth, elevation and a constant radius"
         raise InputError(f"{path}: expected a header with x, y, z, found {found}")
     for beside in _names(path):
@@ -280,8 +280,9 @@ def _as_json(row: dict[str, str]) -> dict[str, Any]:
 
 def _of_json(path: Path) -> list[LampRow]:
     expected = "JSON with version and lamps, each with picture and direction or position"
+    content = read_json(path, expected)
     try:
-        content = table(read_json(path, expected))
+        content = table(content)
         if "lights" in content:
             return _of_meshroom(path, content["lights"])
         if "images" in content:  # a project of RelightLab
@@ -304,8 +305,9 @@ def _of_meshroom(path: Path, lights: Any) -> list[LampRow]:
     expected, views = "one .sfm file beside it with the paths of its views", _names(path)
     if len(views) != 1:
         raise InputError(f"{path}: expected {expected}, found {len(views)}")
+    content = read_json(views[0], expected)
     try:
-        found = [table(view) for view in table(read_json(views[0], expected))["views"]]
+        found = [table(view) for view in table(content)["views"]]
         names = {str(view["viewId"]): text(view["path"]) for view in found}
     except UNFIT as error:
         raise unfit(views[0], "views with viewId and path", error) from None
