@@ -478,12 +478,11 @@ def _tell_bad(read: Pictures, mask: Mask, notes: _Notes) -> None:
     if not worst:
         return
     path = notes.files.pictures[counts.index(worst)]
-    common = np.count_nonzero(reduce(np.logical_and, bad))
-    pixels = np.count_nonzero(mask) - common
-    if 2 * (worst - common) >= pixels:
+    common, pixels = np.count_nonzero(reduce(np.logical_and, bad)), np.count_nonzero(mask)
+    if 2 * (worst - common) >= pixels - common:
         raise InputError(
-            f"{path}: expected finite pixels, found {worst - common} of {pixels} that are NaN, "
-            "infinite or outside of the data window; a mask can leave them out"
+            f"{path}: expected finite pixels, found {worst} of {pixels} that are NaN, infinite or "
+            "outside of the data window; a mask can leave them out"
         )
     said = f"{sum(counts)} pixels that are NaN, infinite or outside of a data window left out, "
     said += "each of its picture alone"
