@@ -221,7 +221,7 @@ def _of_csv(path: Path) -> list[LampRow]:
             raise InputError(f"{path}: lamp {i + 1}: {found}")
     lamps = _of_rows(path, header, rows)
     if not titled and _maybe_angles([lamp.place for lamp in lamps if not lamp.near]):
-        found = "none, and numbers that may be azimuth, elevation and a constant radius"
+        found = "none, and numbers that may be azimuth and elevation"
         raise InputError(f"{path}: expected a header with x, y, z, found {found}")
     for beside in _names(path):
         names = [line.strip() for line in _lines(beside)]
@@ -233,16 +233,18 @@ def _of_csv(path: Path) -> list[LampRow]:
 
 
 def _maybe_angles(places: Sequence[Vector]) -> bool:
-    """Whether x, y, z may be degrees of azimuth and elevation, and the radius of a dome.
+    """Whether x, y, z may be azimuth, elevation, radius, or a lamp's number and both, in degrees.
 
-    The third is always the same, though the vectors have no one length, as those to a dome have.
+    Vectors have no one length then, as those to places on a dome have.
     """
     lengths = [math.hypot(*place) for place in places]
     if not places or max(lengths) <= (1 + LENGTH_OFF_MAX) * min(lengths):
         return False
-    azimuths, elevations, radii = zip(*places, strict=True)
+    x, y, z = zip(*places, strict=True)
+    numbered = all(after - before == 1 for before, after in pairwise(x))
+    azimuths, elevations = (y, z) if numbered else (x, y)
     upper = min(elevations) >= 0 and 0 < max(elevations) <= 90
-    return upper and max(map(abs, azimuths)) <= 360 and len(set(radii)) == 1
+    return upper and max(map(abs, azimuths)) <= 360 and (numbered or len(set(z)) == 1)
 
 
 def _cells(line: str, separator: str) -> list[str]:

@@ -538,10 +538,9 @@ def _limits(read: Pictures, mask: Mask, notes: _Notes, *, for_good: bool) -> Cod
     for path, limits in zip(notes.files.pictures, of_pictures, strict=True):
         bounds |= bool(limits.any())
         if limits.all():
-            low, high = notes.how.code_range or images.CODE_RANGE
             raise InputError(
-                f"{path}: expected some pixel of the mask with codes from {low} to {high} of 255, "
-                "found all clipped or dark; code_range=(0, 255) keeps them"
+                f"{path}: expected some pixel of the mask within the range of codes, found all "
+                "clipped or dark; code_range=(0, 255) keeps them"
             )
     integers = [noise is not None for noise in read.noise]
     if bounds or for_good or any(np.logical_and(read.searched, integers)):

@@ -123,6 +123,8 @@ def test_places_on_a_dome_are_directions_and_it_says_so(tmp_path: Path) -> None:
     ("a,0,45,1.2\nb,361,90,1.2", False),
     ("a,0,45,1.2\nb,360,91,1.2", False),
     ("a,0,45,1.2\nb,360,90,1.3", False),
+    ("1,0,45\n2,360,90\n", True),
+    ("1,0,45\n3,360,90\n", False),
     ("a,-9,-9,50\nb,9,9,50", False),  # one length
     ("a,-20,-9,50\nb,9,9,50", False),  # lamps above a table
     ("a,1,0,50\nb,-20,0,50", False),  # in a row
