@@ -61,9 +61,8 @@ _SPACES: dict[str, Space] = {
 }
 
 # Parts of names such as lin_ap1_scene (Color Interop Forum: Color Space Encodings for Texture
-# Assets and CG Rendering); lin_srgb is OpenColorIO's.
-_CURVES: dict[str, Curve | float] = {"lin": "linear", "srgb": "srgb"}
-_CURVES |= {"g18": 1.8, "g22": 2.2, "g24": 2.4, "g26": 2.6}
+# Assets and CG Rendering); lin_srgb, too, is Rec.709.
+_CURVES: dict[str, Curve | float] = {"lin": "linear", "srgb": "srgb", "g22": 2.2}
 _GAMUTS = {"rec709": REC709, "srgb": REC709, "p3d65": DISPLAY_P3, "rec2020": REC2020}
 _GAMUTS |= {"ap0": ACES_AP0, "ap1": ACES_AP1, "adobergb": ADOBE_RGB}
 
@@ -256,11 +255,12 @@ def from_primaries(curve: Curve | float, primaries: Primaries) -> Conversion:
 
 def of_name(name: str) -> Space | None:
     """The space that a file names: as `ColorSpace` does, or the Color Interop Forum; or None."""
-    name = name.lower()
-    curve, _, gamut = re.sub("_(scene|display)$", "", name).partition("_")
+    # OpenColorIO's are for people: "Linear Rec.709 (sRGB)".
+    plain = re.sub(r"\(.*\)|\W", "", re.sub("^linear ", "lin_", name.lower()))
+    curve, _, gamut = re.sub("_(scene|display)$", "", plain).partition("_")
     if curve in _CURVES and gamut in _GAMUTS:
         return _CURVES[curve], _GAMUTS[gamut]
-    return _SPACES.get(name)
+    return _SPACES.get(name.lower())
 
 
 def nearest_name(convert: Conversion, dtype: np.dtype[Any]) -> str | None:

@@ -566,9 +566,9 @@ def _named(
         if space not in (None, wanted):
             expected = f"colour space {asked}, as asked for"
     elif space is None:
-        expected = "a known colour space, as lin_ap1_scene, or option color_space"
+        expected = "a known colour space, as lin_ap1_scene, unless one is asked for"
     elif x_y is not None and not coding.near(space[1], _primaries(x_y)):
-        expected = "the colour space of its chromaticities, or option color_space"
+        expected = "the colour space of its chromaticities, unless one is asked for"
     if expected:
         raise InputError(f"{path}: expected {expected}, found {shown(name)}")
     return space or ("linear", _primaries(x_y))

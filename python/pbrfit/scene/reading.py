@@ -106,14 +106,11 @@ class _Notes:
     def of(cls, scene: ScenePath | SceneFiles, options: ReadOptions, **changed: Any) -> _Notes:
         """Find the files of a scene; `changed` are options that count whatever is asked for."""
         files = scene if isinstance(scene, SceneFiles) else locate(scene)
-        count = Counter(files.names)
-        # IMG_1.CR2 and img_1.jpg are one picture; a.png and A.png may be two.
+        # IMG_1.CR2 and img_1.jpg are of one picture; a.png and A.png may be two.
         kinds = {(path.stem.casefold(), path.suffix.casefold()) for path in files.pictures}
-        formats = Counter(name for name, _ in kinds)
-        stems = ((path, path.stem) for path in files.pictures)
-        if twice := [
-            path.name for path, one in stems if count[one] > 1 or formats[one.casefold()] > 1
-        ]:
+        count, formats = Counter(files.names), Counter(name for name, _ in kinds)
+        several = {n for n in files.names if count[n] > 1 or formats[n.casefold()] > 1}
+        if twice := [path.name for path in files.pictures if path.stem in several]:
             found = f"{listed(twice)}: take others away, such as JPEG beside raw files"
             parent = files.pictures[0].parent
             raise InputError(f"{parent}: expected one picture a name, found {found}")

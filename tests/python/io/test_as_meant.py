@@ -312,12 +312,13 @@ NAMES: list[tuple[dict[str, Any], str | None, str]] = [
     ({"colorInteropID": "srgb_p3d65_scene"}, "display-p3", "display-p3"),
     ({"oiio:ColorSpace": "lin_srgb"}, None, "linear"),
     ({"oiio:ColorSpace": "ACEScg"}, None, "acescg"),
+    ({"oiio:ColorSpace": "Linear Rec.709 (sRGB)"}, None, "linear"),
     ({"oiio:ColorSpace": "Linear", "chromaticities": AP1}, None, "acescg"),
     ({"colorInteropID": "unknown"}, "srgb", "srgb"),
     ({"colorInteropID": "pq_rec2020_display"}, "linear", "linear"),
     ({"colorInteropID": 3}, None, "linear"),
     ({"colorInteropID": "pq_rec2020_display"}, None, "a known .*, found pq_rec2020_display"),
-    ({"colorInteropID": "lin_ap1_scene", "chromaticities": AP0}, None, "of its chromaticities, or"),
+    ({"colorInteropID": "lin_ap1_scene", "chromaticities": AP0}, None, "of its chromaticities, unless"),
     ({"colorInteropID": "lin_ap1_scene"}, "linear", "colour space linear, as .*, found lin_ap1"),
 ]
 
