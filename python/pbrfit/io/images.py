@@ -532,7 +532,7 @@ def _of_exr(path: Path, data: bytes, layer: str | None, asked: ColorSpace | None
     limits = None
     of_limits = [f"{prefix}{LIMITS}.{channel}" for channel in "RGB"]
     if channels.keys() >= set(of_limits):
-        stored = np.nan_to_num([channels[name] for name in of_limits])
+        stored = [np.nan_to_num(channels[name]) for name in of_limits]
         if not np.isin(stored, (ORDINARY, AT_LEAST, AT_MOST)).all():
             expected = f"0, 1 or 2 in channels {prefix}{LIMITS}"
             raise InputError(f"{path}: expected {expected}, found others")

@@ -33,8 +33,8 @@ AGREEMENT_MAX = 10.0
 taken as it is: of errors of both, where surfaces face the camera too much to tell."""
 
 INVERSE_RATIO_MAX = 0.5
-"""Ratio of median angles of a map's inverse and itself, below which it is inverse depth; or, of
-distances along the rays, which renderers may write, and along the axis, below which it has those."""
+"""Ratio of median angles of a map's inverse and itself, below which it is inverse depth; or of a
+map of distances along the rays and one along the axis, below which it is the former."""
 
 DISAGREEMENT_MIN = 45.0
 """Median angle in degrees from which on depth and normals are said to contradict each other."""
@@ -70,7 +70,8 @@ def checked_depth(
         return depth, notes
     angle, of_inverse = compared(depth, normals, fov)
     if angle > AGREEMENT_MAX:
-        along: Depth = (depth * view_directions(*depth.shape, fov)[..., 2]).astype(np.float32)
+        height, width = depth.shape
+        along = (depth * view_directions(height, width, fov)[..., 2]).astype(np.float32)
         if compared(along, normals, fov)[0] < INVERSE_RATIO_MAX * angle:
             notes.append("read as distances along the rays, as the normals show")
             return along, notes
