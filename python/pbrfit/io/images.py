@@ -138,10 +138,12 @@ def read_picture(
 ) -> Picture:
     """Read a picture as linear Rec.709.
 
-    A given `color_space` decides. Else integer files (PNG, JPEG, TIFF) follow their ICC profile,
-    the colour chunks of a PNG, or EXIF data that says Adobe RGB, and are sRGB without; float files
-    (EXR, HDR, float TIFF) are linear Rec.709, or linear in the chromaticities that an EXR or HDR
-    file states; raw files are developed to that (`raw_files`). Grey is repeated to three channels.
+    A given `color_space` decides, unless an EXR file names another. Else integer files (PNG, JPEG,
+    TIFF) follow their ICC profile, the colour chunks of a PNG, or EXIF data that says Adobe RGB,
+    and are sRGB without; float files (EXR, HDR, float TIFF) are linear Rec.709, or as an EXR file
+    names, or linear in the chromaticities that an EXR or HDR file states; raw files are developed
+    to that (`raw_files`). Outside of an EXR file's data window is NaN, of alpha 0 where there is
+    one. Grey is repeated to three channels.
 
     A `color_matrix` (3, 3) is applied after that. Colours that are multiplied by alpha, as in EXR
     and some TIFF files, become `straight` where alpha is at least half. Of an EXR file a `layer` is
@@ -300,8 +302,9 @@ def read_ids(path: str | os.PathLike[str]) -> NDArray[np.uint16]:
 def read_channels(path: str | os.PathLike[str]) -> dict[str, NDArray[np.float32]]:
     """Read all channels of an EXR file as they are: (H, W) float32 by full name, ``albedo.R``.
 
-    In a file with several parts the name of the part comes first. Raises InputError if this is not
-    a sound EXR file of flat, full-resolution channels; OSError if the file cannot be read.
+    In a file with several parts the name of the part comes first; NaN is outside of a part's data
+    window. Raises InputError if this is not a sound EXR file of flat, full-resolution channels;
+    OSError if the file cannot be read.
     """
     path, data, kind = _load(path)
     if kind != "EXR":
