@@ -505,7 +505,8 @@ def _straight(samples: NDArray[Any]) -> NDArray[Any]:
     """Samples (H, W, 2 or 4), colours over their alpha where that is from a half up to 1."""
     unit = np.iinfo(samples.dtype).max if samples.dtype.kind == "u" else 1
     alpha = samples[..., -1:] / np.float32(unit)
-    samples[np.isnan(alpha[..., 0])] = 0  # nothing covers what is outside of an EXR's data window
+    # Outside of an EXR file's data window nothing is covered, or, with alpha 0 all over, untold.
+    samples[np.isnan(alpha[..., 0]), 0 if (alpha > 0).any() else -1 :] = 0
     part = (alpha >= 0.5) & (alpha < 1)
     if not part.any():
         return samples

@@ -338,17 +338,20 @@ def test_colour_spaces_that_exr_files_name(
     np.testing.assert_allclose(found.pixels, wanted, rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.parametrize("alpha", [False, True])
-def test_what_is_outside_of_the_data_window_is_untold(tmp_path: Path, alpha: bool) -> None:
-    """Without alpha it is NaN, which is no sample; with alpha, it is transparent."""
+@pytest.mark.parametrize("alpha", [None, 0, 1])
+def test_what_is_outside_of_the_data_window_is_untold(tmp_path: Path, alpha: int | None) -> None:
+    """Without alpha that tells, it is NaN, which is no sample; with alpha, it is transparent."""
     path = str(tmp_path / "a.exr")
     corners = {"displayWindow": ((0, 0), (59, 40)), "dataWindow": ((0, 0), (52, 40))}
     header = {name: tuple(np.array(p, np.int32) for p in of) for name, of in corners.items()}
-    pixels = np.dstack([FLOAT, np.ones((41, 53), np.float32)])[..., : 3 + alpha].copy()
-    OpenEXR.File(header, {"RGBA"[: 3 + alpha]: pixels}).write(path)
+    channels = {"RGB": FLOAT}
+    if alpha is not None:
+        channels = {"RGBA": np.dstack([FLOAT, np.full((41, 53), alpha, np.float32)])}
+    OpenEXR.File(header, channels).write(path)
     found = images.read_picture(path)
     np.testing.assert_array_equal(found.pixels[:, :53], FLOAT)
     np.testing.assert_array_equal(found.pixels[:, 53:], 0 if alpha else np.nan)
+    assert (found.alpha is not None) == bool(alpha)
     if alpha:
         assert known(found.alpha)[:, :53].all()
         assert not known(found.alpha)[:, 53:].any()
