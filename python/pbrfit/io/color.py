@@ -250,7 +250,7 @@ def conversion(space: ColorSpace) -> Conversion:
 
 def from_primaries(curve: Curve | float, primaries: Primaries) -> Conversion:
     """Conversion from a curve and primaries; ValueError as `rgb_to_xyz`."""
-    return Conversion(curve, None if near(primaries, REC709) else to_rec709(primaries))
+    return Conversion(curve, None if near_rec709(primaries) else to_rec709(primaries))
 
 
 def of_name(name: str) -> Space | None:
@@ -273,9 +273,9 @@ def nearest_name(convert: Conversion, dtype: np.dtype[Any]) -> str | None:
     return None
 
 
-def near(primaries: Primaries, others: Primaries) -> bool:
-    """Whether chromaticities are the same to within rounding (5e-4)."""
-    return bool(np.abs(np.subtract(others, primaries)).max() <= 5e-4)
+def near_rec709(primaries: Primaries) -> bool:
+    """Whether chromaticities are those of Rec.709 to within rounding (5e-4)."""
+    return bool(np.abs(np.subtract(REC709, primaries)).max() <= 5e-4)
 
 
 def from_icc(curves: list[NDArray[np.float32]], to_xyz: ArrayLike | None) -> Conversion:

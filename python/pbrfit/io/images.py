@@ -481,7 +481,7 @@ def _png_color(path: Path, raster: _core.Raster, doubts: list[str]) -> tuple[Con
         doubts.append(f"{path}: read as sRGB; its {chunk} is ignored")
         return Conversion("srgb"), ""
     primaries = _primaries(raster.chromaticities)
-    plain = coding.near(primaries, coding.REC709)
+    plain = coding.near_rec709(primaries)
     # 0.45455 beside the primaries of Rec.709 is what encoders write to mean sRGB.
     usual = plain and abs((raster.gamma or 0.45455) - 0.45455) <= 0.01
     curve = 1 / raster.gamma if raster.gamma and not usual else "srgb"
@@ -525,7 +525,13 @@ def _of_exr(path: Path, data: bytes, layer: str | None, asked: ColorSpace | None
     found = [channels[name] for name in names]
     prefix = f"{of}." if of else ""
     named = ", ".join(dict.fromkeys(one for one in spaces if one.lower() not in NO_SPACE))
-    curve, primaries = _named(path, named, chromaticities, asked)
+    wanted = coding.of_name(asked) if asked else None
+    space = coding.of_name(named) or wanted
+    if named and (space is None or wanted not in (None, space)):
+        known = "a known colour space, as lin_ap1_scene, unless one is asked for"
+        expected = f"colour space {asked}, as asked for" if asked else known
+        raise InputError(f"{path}: expected {expected}, found {shown(named)}")
+    curve, primaries = (named and space) or ("linear", _primaries(chromaticities))
     convert = _stated(path, curve, primaries) if len(found) > 2 else Conversion(curve)
     if len(found) > 2 and names[1].upper() == f"{prefix}RY".upper():
         # OpenEXR: RY = (R - Y) / Y, BY = (B - Y) / Y, and Y a weighted sum of R, G and B.
@@ -545,7 +551,7 @@ def _of_exr(path: Path, data: bytes, layer: str | None, asked: ColorSpace | None
         color = f"{shown(named)} (named by the EXR)"
     elif chromaticities is None:
         color = "linear Rec.709 (EXR without chromaticities)"
-    elif coding.near(primaries, coding.REC709):
+    elif coding.near_rec709(primaries):
         color = "linear Rec.709 (chromaticities of the EXR)"
     elif len(found) < 3:
         color = "linear grey (EXR)"
@@ -554,25 +560,3 @@ def _of_exr(path: Path, data: bytes, layer: str | None, asked: ColorSpace | None
     color = f"layer {shown(of)}, {color}" if of else color
     samples = np.stack(found, axis=-1)
     return _Decoded(samples, convert, color, premultiplied=True, limits=limits)
-
-
-def _named(
-    path: Path, name: str, x_y: Sequence[float] | None, asked: ColorSpace | None
-) -> coding.Space:
-    """The space of an EXR file that may name one and state chromaticities.
-
-    Raises InputError if it is not known, that of these, and the one that is `asked` for, if any.
-    """
-    if not name:
-        return "linear", _primaries(x_y)
-    space, wanted, expected = coding.of_name(name), asked and coding.of_name(asked), ""
-    if wanted:
-        if space not in (None, wanted):
-            expected = f"colour space {asked}, as asked for"
-    elif space is None:
-        expected = "a known colour space, as lin_ap1_scene, unless one is asked for"
-    elif x_y is not None and not coding.near(space[1], _primaries(x_y)):
-        expected = "the colour space of its chromaticities, unless one is asked for"
-    if expected:
-        raise InputError(f"{path}: expected {expected}, found {shown(name)}")
-    return space or ("linear", _primaries(x_y))

@@ -130,12 +130,6 @@ class _Notes:
         _expect_size(path, size, self.size)
         return self.how.window(self.size)
 
-    def look_at_first(self) -> float:
-        """Take the size of the first picture for that of all; returns the field of view."""
-        first = self.how.picture(self.files.pictures[0])
-        self.size = first.pixels.shape[0], first.pixels.shape[1]
-        return self.decided_fov(first.taken.focal_length_35mm)[0]
-
     def decided_fov(self, focal_length: float | None) -> tuple[float, bool, str]:
         """Of what is used of the pictures, in degrees; whether somebody told it, and who.
 
@@ -291,7 +285,9 @@ class Surface:
 def read_surface(scene: ScenePath, options: ReadOptions = AS_STATED) -> Surface:
     """Read whole normals, mask and segments as `load`, and raise so; of pictures only the first."""
     notes = _Notes.of(scene, options, crop=None)
-    fov = notes.look_at_first()
+    first = notes.how.picture(notes.files.pictures[0])
+    notes.size = first.pixels.shape[0], first.pixels.shape[1]
+    fov = notes.decided_fov(first.taken.focal_length_35mm)[0]
     mask = _read_mask(notes)
     there = bool(notes.files.find(find_normals))
     return Surface(

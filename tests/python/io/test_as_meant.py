@@ -318,7 +318,7 @@ NAMES: list[tuple[dict[str, Any], str | None, str]] = [
     ({"colorInteropID": "pq_rec2020_display"}, "linear", "linear"),
     ({"colorInteropID": 3}, None, "linear"),
     ({"colorInteropID": "pq_rec2020_display"}, None, "a known .*, found pq_rec2020_display"),
-    ({"colorInteropID": "lin_ap1_scene", "chromaticities": AP0}, None, "of its chromaticities"),
+    ({"colorInteropID": "lin_ap1_scene", "chromaticities": AP0}, None, "acescg"),
     ({"colorInteropID": "lin_ap1_scene"}, "linear", "colour space linear, as .*, found lin_ap1"),
 ]
 

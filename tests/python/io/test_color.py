@@ -87,8 +87,8 @@ def test_unusable_primaries_are_refused() -> None:
 
 def test_rec709_is_recognised_up_to_rounding() -> None:
     half = color.Primaries((0.6401, 0.33), (0.30, 0.6001), (0.15, 0.06), (0.3127, 0.3290))
-    assert color.near(half, color.REC709)
-    assert not color.near(color.DISPLAY_P3, color.REC709)
+    assert color.near_rec709(half)
+    assert not color.near_rec709(color.DISPLAY_P3)
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
