@@ -165,17 +165,15 @@ fn decode(bytes: &[u8], path: &Path) -> Result<Exr> {
                 .concat()
         })
         .and_then(|values| values.try_into().ok());
-    let color_spaces = headers
-        .iter()
-        .filter_map(|header| {
-            let others = &header.own_attributes.other;
-            let named = COLOR_SPACE.map(|name| others.get(name.as_bytes()));
-            named.into_iter().flatten().find_map(|value| match value {
-                AttributeValue::Text(text) => Some(text.to_string()),
+    let named = |header: &Header| {
+        let attributes = &header.own_attributes.other;
+        COLOR_SPACE
+            .iter()
+            .find_map(|name| match attributes.get(name.as_bytes()) {
+                Some(AttributeValue::Text(text)) => Some(text.to_string()),
                 _ => None,
             })
-        })
-        .collect();
+    };
     let channels = names
         .into_iter()
         .zip(planes.into_iter().flatten())
@@ -186,7 +184,7 @@ fn decode(bytes: &[u8], path: &Path) -> Result<Exr> {
         height,
         channels,
         chromaticities,
-        color_spaces,
+        color_spaces: headers.iter().filter_map(named).collect(),
     })
 }
 

@@ -49,10 +49,7 @@ REC2020 = Primaries((0.708, 0.292), (0.170, 0.797), (0.131, 0.046), (0.3127, 0.3
 ADOBE_RGB = Primaries((0.64, 0.33), (0.21, 0.71), (0.15, 0.06), (0.3127, 0.3290))
 CIE_XYZ = Primaries((1.0, 0.0), (0.0, 1.0), (0.0, 0.0), (1 / 3, 1 / 3))
 
-Space = tuple[Curve | float, Primaries]
-"""A transfer curve, by name or exponent, and primaries."""
-
-_SPACES: dict[str, Space] = {
+_SPACES: dict[str, tuple[Curve | float, Primaries]] = {
     "srgb": ("srgb", REC709),
     "linear": ("linear", REC709),
     "acescg": ("linear", ACES_AP1),
@@ -253,7 +250,7 @@ def from_primaries(curve: Curve | float, primaries: Primaries) -> Conversion:
     return Conversion(curve, None if near_rec709(primaries) else to_rec709(primaries))
 
 
-def of_name(name: str) -> Space | None:
+def of_name(name: str) -> tuple[Curve | float, Primaries] | None:
     """The space that a file names: as `ColorSpace` does, or the Color Interop Forum; or None."""
     # OpenColorIO's are for people: "Linear Rec.709 (sRGB)".
     plain = re.sub(r"\(.*\)|\W", "", re.sub("^linear ", "lin_", name.lower()))
