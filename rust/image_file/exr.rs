@@ -10,7 +10,7 @@ use ::exr::block::lines::LineRef;
 use ::exr::block::reader::Reader;
 use ::exr::compression::Compression;
 use ::exr::meta::BlockDescription;
-use ::exr::meta::attribute::{Chromaticities, IntegerBounds, SampleType, Text};
+use ::exr::meta::attribute::{AttributeValue, Chromaticities, IntegerBounds, SampleType, Text};
 use ::exr::meta::header::Header;
 use ::exr::prelude::{
     AnyChannel, AnyChannels, Encoding, FlatSamples, Image, SmallVec, Vec2, WritableImage, f16,
@@ -58,14 +58,20 @@ pub struct Exr {
     pub channels: Vec<ExrChannel>,
     /// The attribute of that name: xy of red, green, blue, white.
     pub chromaticities: Option<[f32; 8]>,
+    /// Names of colour spaces that parts state, as of [`COLOR_SPACE`].
+    pub color_spaces: Vec<String>,
 }
+
+/// Attributes that name a part's colour space, the one that counts first: that of the Color Interop
+/// Forum, and OpenImageIO's.
+const COLOR_SPACE: [&str; 2] = ["colorInteropID", "oiio:ColorSpace"];
 
 /// Reads the bytes of an EXR file: half, float or 32-bit integer channels (integers above 2^24 are
 /// rounded to float), scan lines or tiles (the largest level), one or several parts.
 ///
 /// With several parts a channel is named `part.channel`, unless the part has
 /// no name or the channel already starts with it. The data window is placed
-/// into the display window: 0 outside of it, cropped where it reaches over.
+/// into the display window: NaN outside of it, cropped where it reaches over.
 ///
 /// `path` is for the messages.
 ///
@@ -94,11 +100,17 @@ fn decode(bytes: &[u8], path: &Path) -> Result<Exr> {
     let mut planes: Vec<_> = headers
         .iter()
         .map(|header| {
+            let data = IntegerBounds::new(header.own_attributes.layer_position, header.layer_size);
+            let untold = if data.contains(display) {
+                0.0
+            } else {
+                f32::NAN
+            };
             // Made one by one: the system gives zeroed memory when it is first written to, where
             // copies of a zeroed plane would be written at once.
             let planes = header.channels.list.iter();
             planes
-                .map(|_| vec![0.0; width * height])
+                .map(|_| vec![untold; width * height])
                 .collect::<Vec<_>>()
         })
         .collect();
@@ -153,6 +165,15 @@ fn decode(bytes: &[u8], path: &Path) -> Result<Exr> {
                 .concat()
         })
         .and_then(|values| values.try_into().ok());
+    let named = |header: &Header| {
+        let attributes = &header.own_attributes.other;
+        COLOR_SPACE
+            .iter()
+            .find_map(|name| match attributes.get(name.as_bytes()) {
+                Some(AttributeValue::Text(text)) => Some(text.to_string()),
+                _ => None,
+            })
+    };
     let channels = names
         .into_iter()
         .zip(planes.into_iter().flatten())
@@ -163,6 +184,7 @@ fn decode(bytes: &[u8], path: &Path) -> Result<Exr> {
         height,
         channels,
         chromaticities,
+        color_spaces: headers.iter().filter_map(named).collect(),
     })
 }
 

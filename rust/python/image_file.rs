@@ -35,20 +35,23 @@ pub(super) fn image_format(data: PyBackedBytes) -> Option<&'static str> {
     Format::of(&data).map(Format::name)
 }
 
-/// Channels by name, (H, W) float32 each, and the chromaticities attribute.
+/// Channels by name, chromaticities, and names of colour spaces.
+type Exr<'py> = (Bound<'py, PyDict>, Option<[f32; 8]>, Vec<String>);
+
+/// Channels by name, (H, W) float32 each, and what attributes say of their colour.
 #[pyfunction]
 pub(super) fn decode_exr<'py>(
     py: Python<'py>,
     data: PyBackedBytes,
     path: PathBuf,
-) -> PyResult<(Bound<'py, PyDict>, Option<[f32; 8]>)> {
+) -> PyResult<Exr<'py>> {
     let exr = py.detach(|| image_file::decode_exr(&data, &path))?;
     let channels = PyDict::new(py);
     for ExrChannel { name, values } in exr.channels {
         let plane = PyArray1::from_vec(py, values).reshape([exr.height, exr.width])?;
         channels.set_item(name, plane)?;
     }
-    Ok((channels, exr.chromaticities))
+    Ok((channels, exr.chromaticities, exr.color_spaces))
 }
 
 /// The number of pictures in a TIFF file.

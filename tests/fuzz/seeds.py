@@ -191,6 +191,7 @@ def exr() -> Iterator[Seed]:
     yield _single("exr windows", _exr_file(windows, {"RGB": single}))
     primaries = (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767)
     yield _single("exr acescg", _exr_file({"chromaticities": primaries}, {"RGB": half}))
+    yield _single("exr named", _exr_file({"colorInteropID": "lin_ap1_scene"}, {"RGB": half}))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "file.exr"
         kind = {"type": OpenEXR.scanlineimage}

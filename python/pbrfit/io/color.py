@@ -5,6 +5,7 @@ The working space is linear Rec.709 with white D65. Matrices are computed from c
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import cache, reduce
 from typing import Any, Literal, NamedTuple
@@ -38,10 +39,12 @@ class Primaries(NamedTuple):
 
 
 # ITU-R BT.709 (also IEC 61966-2-1, sRGB); SMPTE EG 432-1 primaries with D65; S-2014-004 (ACEScg);
-# ITU-R BT.2020; Adobe RGB (1998) color image encoding, 2005; CIE 1931, white of equal energy.
+# ST 2065-1 (ACES2065-1); ITU-R BT.2020; Adobe RGB (1998) color image encoding, 2005; CIE 1931,
+# white of equal energy.
 REC709 = Primaries((0.64, 0.33), (0.30, 0.60), (0.15, 0.06), (0.3127, 0.3290))
 DISPLAY_P3 = Primaries((0.680, 0.320), (0.265, 0.690), (0.150, 0.060), (0.3127, 0.3290))
 ACES_AP1 = Primaries((0.713, 0.293), (0.165, 0.830), (0.128, 0.044), (0.32168, 0.33767))
+ACES_AP0 = Primaries((0.7347, 0.2653), (0.0, 1.0), (0.0001, -0.077), (0.32168, 0.33767))
 REC2020 = Primaries((0.708, 0.292), (0.170, 0.797), (0.131, 0.046), (0.3127, 0.3290))
 ADOBE_RGB = Primaries((0.64, 0.33), (0.21, 0.71), (0.15, 0.06), (0.3127, 0.3290))
 CIE_XYZ = Primaries((1.0, 0.0), (0.0, 1.0), (0.0, 0.0), (1 / 3, 1 / 3))
@@ -53,6 +56,12 @@ _SPACES: dict[str, tuple[Curve | float, Primaries]] = {
     "display-p3": ("srgb", DISPLAY_P3),
     "adobe-rgb": (563 / 256, ADOBE_RGB),
 }
+
+# Parts of names such as lin_ap1_scene (Color Interop Forum: Color Space Encodings for Texture
+# Assets and CG Rendering); lin_srgb, too, is Rec.709.
+_CURVES: dict[str, Curve | float] = {"lin": "linear", "srgb": "srgb", "g22": 2.2}
+_GAMUTS = {"rec709": REC709, "srgb": REC709, "p3d65": DISPLAY_P3, "rec2020": REC2020}
+_GAMUTS |= {"ap0": ACES_AP0, "ap1": ACES_AP1, "adobergb": ADOBE_RGB}
 
 # Code points of Rec. ITU-T H.273 that are acted upon.
 CODED_PRIMARIES = {1: REC709, 9: REC2020, 12: DISPLAY_P3}
@@ -239,6 +248,16 @@ def conversion(space: ColorSpace) -> Conversion:
 def from_primaries(curve: Curve | float, primaries: Primaries) -> Conversion:
     """Conversion from a curve and primaries; ValueError as `rgb_to_xyz`."""
     return Conversion(curve, None if near_rec709(primaries) else to_rec709(primaries))
+
+
+def of_name(name: str) -> tuple[Curve | float, Primaries] | None:
+    """The space that a file names: as `ColorSpace` does, or the Color Interop Forum; or None."""
+    # OpenColorIO's are for people: "Linear Rec.709 (sRGB)".
+    plain = re.sub(r"\(.*\)|\W", "", re.sub("^linear ", "lin_", name.lower()))
+    curve, _, gamut = re.sub("_(scene|display)$", "", plain).partition("_")
+    if curve in _CURVES and gamut in _GAMUTS:
+        return _CURVES[curve], _GAMUTS[gamut]
+    return _SPACES.get(name.lower())
 
 
 def nearest_name(convert: Conversion, dtype: np.dtype[Any]) -> str | None:

@@ -54,6 +54,9 @@ smears clipped areas: of samples that were clipped before a JPEG of quality 75 t
 colour, 15 to 22 % come back with all channels below 254, and 5 to 9 % with all below 251, which
 takes 2 % of the sound samples of bright photographs for clipped."""
 
+NO_SPACE = ("linear", "scene_linear", "data", "raw", "unknown", "")
+"""Names of colour spaces, in lower case, that say no more than a float file does without."""
+
 _OF_CHANNELS = re.compile(
     rb"ImageJ=[^\0]{0,200}\nchannels=[34]\n[^\0]{0,200}mode=co"
     rb"|SizeC=.[34][^>]{0,200}>\s{0,99}<Channel[^>]{0,200}SamplesPerPixel=.1\b"
@@ -64,6 +67,8 @@ _OTHERS = {
     rb"....ftyp(hei[cxms]|hevc|m[is]f1|avif)": "HEIC or AVIF: convert it first, for example with "
     "`heif-convert {0.name} {0.stem}.png`",
     rb"RIFF....WEBP": "WebP",
+    rb"\xff\n|....JXL ": "JPEG XL",
+    rb"version https://git-lfs": "a pointer of Git LFS: fetch the file with `git lfs pull`",
     rb"GIF8": "GIF",
     rb"BM": "BMP",
 }
@@ -133,10 +138,12 @@ def read_picture(
 ) -> Picture:
     """Read a picture as linear Rec.709.
 
-    A given `color_space` decides. Else integer files (PNG, JPEG, TIFF) follow their ICC profile,
-    the colour chunks of a PNG, or EXIF data that says Adobe RGB, and are sRGB without; float files
-    (EXR, HDR, float TIFF) are linear Rec.709, or linear in the chromaticities that an EXR or HDR
-    file states; raw files are developed to that (`raw_files`). Grey is repeated to three channels.
+    A given `color_space` decides, unless an EXR file names another. Else integer files (PNG, JPEG,
+    TIFF) follow their ICC profile, the colour chunks of a PNG, or EXIF data that says Adobe RGB,
+    and are sRGB without; float files (EXR, HDR, float TIFF) are linear Rec.709, or as an EXR file
+    names, or linear in the chromaticities that an EXR or HDR file states; raw files are developed
+    to that (`raw_files`). Outside of an EXR file's data window is NaN, of alpha 0 where there is
+    one. Grey is repeated to three channels.
 
     A `color_matrix` (3, 3) is applied after that. Colours that are multiplied by alpha, as in EXR
     and some TIFF files, become `straight` where alpha is at least half. Of an EXR file a `layer` is
@@ -162,7 +169,7 @@ def read_picture(
         raise InputError(f"{path}: {expected}, found {color_space}")
     chosen = None if color_space is None or form == RAW else coding.conversion(color_space)
     if form == "EXR":
-        found = _of_exr(path, data, layer)
+        found = _of_exr(path, data, layer, color_space)
     elif form == RAW:
         samples, limits, color, taken = raw_files.develop(path, data, orientation == "exif")
         found = _Decoded(samples, Conversion("linear"), color, taken, limits=limits)
@@ -295,8 +302,9 @@ def read_ids(path: str | os.PathLike[str]) -> NDArray[np.uint16]:
 def read_channels(path: str | os.PathLike[str]) -> dict[str, NDArray[np.float32]]:
     """Read all channels of an EXR file as they are: (H, W) float32 by full name, ``albedo.R``.
 
-    In a file with several parts the name of the part comes first. Raises InputError if this is not
-    a sound EXR file of flat, full-resolution channels; OSError if the file cannot be read.
+    In a file with several parts the name of the part comes first; NaN is outside of a part's data
+    window. Raises InputError if this is not a sound EXR file of flat, full-resolution channels;
+    OSError if the file cannot be read.
     """
     path, data, kind = _load(path)
     if kind != "EXR":
@@ -497,6 +505,8 @@ def _straight(samples: NDArray[Any]) -> NDArray[Any]:
     """Samples (H, W, 2 or 4), colours over their alpha where that is from a half up to 1."""
     unit = np.iinfo(samples.dtype).max if samples.dtype.kind == "u" else 1
     alpha = samples[..., -1:] / np.float32(unit)
+    # Outside of an EXR file's data window nothing is covered, or, with alpha 0 all over, untold.
+    samples[np.isnan(alpha[..., 0]), 0 if (alpha > 0).any() else -1 :] = 0
     part = (alpha >= 0.5) & (alpha < 1)
     if not part.any():
         return samples
@@ -506,33 +516,40 @@ def _straight(samples: NDArray[Any]) -> NDArray[Any]:
     return np.concatenate([colors.astype(samples.dtype), samples[..., -1:]], axis=-1)
 
 
-def _of_exr(path: Path, data: bytes, layer: str | None) -> _Decoded:
-    channels, chromaticities = _core.decode_exr(data, path)
+def _of_exr(path: Path, data: bytes, layer: str | None, asked: ColorSpace | None) -> _Decoded:
+    channels, chromaticities, spaces = _core.decode_exr(data, path)
     if chromaticities is not None and not any(chromaticities):
         chromaticities = None  # eight zeros are in files that know none
     expected = "channels R, G, B or Y"
     of, names = layers.chosen(path, channels, layers.PICTURE, expected, layer)
     found = [channels[name] for name in names]
     prefix = f"{of}." if of else ""
-    primaries = _primaries(chromaticities)
-    linear = Conversion("linear")
-    if len(found) > 2:
-        linear = _stated(path, "linear", primaries)
-        if names[1].upper() == f"{prefix}RY".upper():
-            # OpenEXR: RY = (R - Y) / Y, BY = (B - Y) / Y, and Y a weighted sum of R, G and B.
-            luma, red, blue = found[0], (found[1] + 1) * found[0], (found[2] + 1) * found[0]
-            weights = coding.rgb_to_xyz(primaries)[1].astype(np.float32)  # they add up to 1
-            green = (luma - weights[0] * red - weights[2] * blue) / weights[1]
-            found[:3] = red, green, blue
+    named = ", ".join(dict.fromkeys(one for one in spaces if one.lower() not in NO_SPACE))
+    wanted = coding.of_name(asked) if asked else None
+    space = coding.of_name(named) or wanted
+    if named and (space is None or wanted not in (None, space)):
+        known = "a known colour space, as lin_ap1_scene, unless one is asked for"
+        expected = f"colour space {asked}, as asked for" if asked else known
+        raise InputError(f"{path}: expected {expected}, found {shown(named)}")
+    curve, primaries = (named and space) or ("linear", _primaries(chromaticities))
+    convert = _stated(path, curve, primaries) if len(found) > 2 else Conversion(curve)
+    if len(found) > 2 and names[1].upper() == f"{prefix}RY".upper():
+        # OpenEXR: RY = (R - Y) / Y, BY = (B - Y) / Y, and Y a weighted sum of R, G and B.
+        luma, red, blue = found[0], (found[1] + 1) * found[0], (found[2] + 1) * found[0]
+        weights = coding.rgb_to_xyz(primaries)[1].astype(np.float32)  # they add up to 1
+        green = (luma - weights[0] * red - weights[2] * blue) / weights[1]
+        found[:3] = red, green, blue
     limits = None
     of_limits = [f"{prefix}{LIMITS}.{channel}" for channel in "RGB"]
     if channels.keys() >= set(of_limits):
-        stored = [channels[name] for name in of_limits]
+        stored = [np.nan_to_num(channels[name]) for name in of_limits]
         if not np.isin(stored, (ORDINARY, AT_LEAST, AT_MOST)).all():
             expected = f"0, 1 or 2 in channels {prefix}{LIMITS}"
             raise InputError(f"{path}: expected {expected}, found others")
         limits = np.stack(stored, axis=-1).astype(np.uint8)
-    if chromaticities is None:
+    if named:
+        color = f"{shown(named)} (named by the EXR)"
+    elif chromaticities is None:
         color = "linear Rec.709 (EXR without chromaticities)"
     elif coding.near_rec709(primaries):
         color = "linear Rec.709 (chromaticities of the EXR)"
@@ -541,4 +558,4 @@ def _of_exr(path: Path, data: bytes, layer: str | None) -> _Decoded:
     else:
         color = "linear, converted from the EXR's chromaticities"
     color = f"layer {shown(of)}, {color}" if of else color
-    return _Decoded(np.stack(found, axis=-1), linear, color, premultiplied=True, limits=limits)
+    return _Decoded(np.stack(found, axis=-1), convert, color, premultiplied=True, limits=limits)

@@ -196,7 +196,7 @@ def _of_csv(path: Path) -> list[LampRow]:
     named = (",".join(re.sub(r"[\W_]", "", one.casefold()) for one in of) for of in bare)
     heads = [tuple(SYNONYMS.get(n, n) for n in of.rstrip(",").split(",")) for of in named]
     header = next((head for head in heads if {"x", "y", "z"} <= set(head)), ())
-    found, hint, wide = "", "", max(map(len, rows))
+    found, hint, wide, titled = "", "", max(map(len, rows)), bool(header)
     if not header and not any(map(re.compile(r"\d").search, rows[0])):
         header = heads[-1]  # of other columns
     if separator == "," and not any("." in cell for row in rows for cell in row[1:]):
@@ -220,6 +220,9 @@ def _of_csv(path: Path) -> list[LampRow]:
             found = f"expected {len(header)} values, found {len(row)}{hint}"
             raise InputError(f"{path}: lamp {i + 1}: {found}")
     lamps = _of_rows(path, header, rows)
+    if not titled and _maybe_angles([lamp.place for lamp in lamps if not lamp.near]):
+        found = "none, and numbers that may be azimuth and elevation"
+        raise InputError(f"{path}: expected a header with x, y, z, found {found}")
     for beside in _names(path):
         names = [line.strip() for line in _lines(beside)]
         if len(names) != len(lamps):
@@ -227,6 +230,21 @@ def _of_csv(path: Path) -> list[LampRow]:
             raise InputError(f"{beside}: expected {expected}, found {len(names)}")
         lamps = [replace(lamp, picture=name) for lamp, name in zip(lamps, names, strict=True)]
     return lamps
+
+
+def _maybe_angles(places: Sequence[Vector]) -> bool:
+    """Whether x, y, z may be azimuth, elevation, radius, or a lamp's number and both, in degrees.
+
+    Vectors have no one length then, as those to places on a dome have.
+    """
+    lengths = [math.hypot(*place) for place in places]
+    if not places or max(lengths) <= (1 + LENGTH_OFF_MAX) * min(lengths):
+        return False
+    x, y, z = zip(*places, strict=True)
+    numbered = all(after - before == 1 for before, after in pairwise(x))
+    azimuths, elevations = (y, z) if numbered else (x, y)
+    upper = min(elevations) >= 0 and 0 < max(elevations) <= 90
+    return upper and max(map(abs, azimuths)) <= 360 and (numbered or len(set(z)) == 1)
 
 
 def _cells(line: str, separator: str) -> list[str]:
@@ -264,8 +282,9 @@ def _as_json(row: dict[str, str]) -> dict[str, Any]:
 
 def _of_json(path: Path) -> list[LampRow]:
     expected = "JSON with version and lamps, each with picture and direction or position"
+    content = read_json(path, expected)
     with expecting(path, expected):
-        content = table(read_json(path, expected))
+        content = table(content)
         if "lights" in content:
             return _of_meshroom(path, content["lights"])
         if "images" in content:  # a project of RelightLab
@@ -286,8 +305,9 @@ def _of_meshroom(path: Path, lights: Any) -> list[LampRow]:
     expected, views = "one .sfm file beside it with the paths of its views", _names(path)
     if len(views) != 1:
         raise InputError(f"{path}: expected {expected}, found {len(views)}")
+    content = read_json(views[0], expected)
     with expecting(views[0], "views with viewId and path"):
-        found = [table(view) for view in table(read_json(views[0], expected))["views"]]
+        found = [table(view) for view in table(content)["views"]]
         names = {str(view["viewId"]): text(view["path"]) for view in found}
 
     def entry(light: Any) -> dict[str, Any]:

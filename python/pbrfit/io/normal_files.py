@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io import images, layers
+from pbrfit.io.color import encode_srgb
 from pbrfit.io.images import read_stored
 from pbrfit.io.input_files import there
 from pbrfit.values.arrays import Array, Floats, Mask
@@ -151,11 +152,15 @@ def _decoded(path: Path, stored: NDArray[Any], mask: Mask | None) -> tuple[Array
     whole = stored.dtype.kind == "u"
     plain = partial(_of_codes, np.iinfo(stored.dtype).max if whole else 1, not whole)
     readings: dict[str, Callable[[NDArray[Any]], Array]] = {"": plain}
-    if not whole and low >= -ROUNDING and high <= 1 + ROUNDING:
+    shares = not whole and low >= -ROUNDING and high <= 1 + ROUNDING
+    if shares:
         readings["0 to 1 read as 2v − 1"] = partial(_of_codes, 1, False)
     if stored.shape[-1] == 2:  # lengths tell nothing, but numbers below 0 tell components
         *_, (how, read) = readings.items()
         return _with_z(read(stored)), ["z = √(1 − x² − y²)", *filter(None, [how])]
+    if shares:
+        said = "0 to 1, decoded as if colours of sRGB, encoded again and read as 2v − 1"
+        readings[said] = lambda values: 2 * encode_srgb(values) - 1
     for largest in (127, 32767) if low < 0 else (255, 65535):
         if 1 + ROUNDING < max(high, -low) <= largest + 1:
             readings[f"codes up to {largest}"] = partial(_of_codes, largest, bool(low < 0))

@@ -103,6 +103,8 @@ def _lamps(scene: Scene) -> str:
     if (lamps := scene.lamps) is None:
         return "unknown"
     said, far = known_lamps.in_words(lamps), lamps.places[~lamps.near]
+    if lamps.near.any() and scene.depth is None:
+        said += "; no fit of near ones without depth, and none is given"
     if len(far) < 2:
         return said
     tilt = np.degrees(np.arccos(np.clip(far[:, 2], -1.0, 1.0)))

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.io.resampling import at_centres, averaged
 from pbrfit.model.depth_normals import DEPTH_MAX, from_depth
-from pbrfit.model.geometry import angles_between
+from pbrfit.model.geometry import angles_between, view_directions
 from pbrfit.values.arrays import Array, Floats
 from pbrfit.values.checks import any_array
 
@@ -33,7 +33,8 @@ AGREEMENT_MAX = 10.0
 taken as it is: of errors of both, where surfaces face the camera too much to tell."""
 
 INVERSE_RATIO_MAX = 0.5
-"""Ratio of median angles of a map's inverse and itself, below which it is inverse depth."""
+"""Ratio of median angles of a map's inverse and itself, below which it is inverse depth; or of a
+map of distances along the rays and one along the axis, below which it is the former."""
 
 DISAGREEMENT_MIN = 45.0
 """Median angle in degrees from which on depth and normals are said to contradict each other."""
@@ -68,6 +69,12 @@ def checked_depth(
     if not normals_known:
         return depth, notes
     angle, of_inverse = compared(depth, normals, fov)
+    if angle > AGREEMENT_MAX:
+        height, width = depth.shape
+        along = (depth * view_directions(height, width, fov)[..., 2]).astype(np.float32)
+        if compared(along, normals, fov)[0] < INVERSE_RATIO_MAX * angle:
+            notes.append("read as distances along the rays, as the normals show")
+            return along, notes
     if of_inverse < INVERSE_RATIO_MAX * angle:
         raise InputError(
             "depth: expected distances, found inverse depth (normals of the map are "

@@ -337,7 +337,7 @@ def is_scene(folder: Path) -> bool:
 
 def warn_of_near_misses(files: SceneFiles) -> None:
     """Say what looks like a part of a scene but is not read: `mask.tif`, `lights.csv.txt`."""
-    stems = {stem.rstrip("s") for stem in (*_STEMS, RELATIVE)}
+    stems = {stem.rstrip("s") for stem in (*_STEMS, RELATIVE, "lamps", "light_positions")}
     pictures = set(map(images.file_of, files.pictures))
     beside = (files.folder / "images").glob(f"{RELATIVE}.*")
     for path in sorted({*files.folder.iterdir(), *beside} - pictures):

@@ -7,7 +7,7 @@ import math
 from collections import Counter
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import partial, reduce
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, TypeVar
@@ -107,8 +107,11 @@ class _Notes:
     def of(cls, scene: ScenePath | SceneFiles, options: ReadOptions, **changed: Any) -> _Notes:
         """Find the files of a scene; `changed` are options that count whatever is asked for."""
         files = scene if isinstance(scene, SceneFiles) else locate(scene)
-        count = Counter(files.names)
-        if twice := [path.name for path in files.pictures if count[path.stem] > 1]:
+        # IMG_1.CR2 and img_1.jpg are of one picture; a.png and A.png may be two.
+        kinds = {(path.stem.casefold(), path.suffix.casefold()) for path in files.pictures}
+        count, formats = Counter(files.names), Counter(name for name, _ in kinds)
+        several = {n for n in files.names if count[n] > 1 or formats[n.casefold()] > 1}
+        if twice := [path.name for path in files.pictures if path.stem in several]:
             found = f"{listed(twice)}: take others away, such as JPEG beside raw files"
             parent = files.pictures[0].parent
             raise InputError(f"{parent}: expected one picture a name, found {found}")
@@ -127,12 +130,6 @@ class _Notes:
         """Rows and columns that are used of a map; InputError unless it has the pictures' size."""
         _expect_size(path, size, self.size)
         return self.how.window(self.size)
-
-    def look_at_first(self) -> float:
-        """Take the size of the first picture for that of all; returns the field of view."""
-        first = self.how.picture(self.files.pictures[0])
-        self.size = first.pixels.shape[0], first.pixels.shape[1]
-        return self.decided_fov(first.taken.focal_length_35mm)[0]
 
     def decided_fov(self, focal_length: float | None) -> tuple[float, bool, str]:
         """Of what is used of the pictures, in degrees; whether somebody told it, and who.
@@ -287,7 +284,9 @@ class Surface:
 def read_surface(scene: ScenePath, options: ReadOptions = AS_STATED) -> Surface:
     """Read whole normals, mask and segments as `load`, and raise so; of pictures only the first."""
     notes = _Notes.of(scene, options, crop=None)
-    fov = notes.look_at_first()
+    first = notes.how.picture(notes.files.pictures[0])
+    notes.size = first.pixels.shape[0], first.pixels.shape[1]
+    fov = notes.decided_fov(first.taken.focal_length_35mm)[0]
     mask = _read_mask(notes)
     there = bool(notes.files.find(find_normals))
     return Surface(
@@ -464,19 +463,21 @@ def _read_pictures(notes: _Notes, look: int | None = None) -> Pictures:
 
 
 def _tell_bad(read: Pictures, mask: Mask, notes: _Notes) -> None:
-    """Say how many pixels are NaN or infinite; InputError if half of a picture is."""
-    paths, pixels = notes.files.pictures, np.count_nonzero(mask)
-    counts = [0 if bad is None else np.count_nonzero(mask & bad.any(axis=-1)) for bad in read.bad]
+    """Say how many pixels are NaN or infinite; InputError if half of those are that others have."""
+    bad = [np.False_ if one is None else mask & one.any(axis=-1) for one in read.bad]
+    counts = list(map(np.count_nonzero, bad))
     worst = max(counts)
-    path = paths[counts.index(worst)]
     if not worst:
         return
-    if 2 * worst >= pixels:
+    path = notes.files.pictures[counts.index(worst)]
+    common, pixels = np.count_nonzero(reduce(np.logical_and, bad)), np.count_nonzero(mask)
+    if 2 * (worst - common) >= pixels - common:
         raise InputError(
-            f"{path}: expected finite pixels, found {worst} of {pixels} that are NaN or infinite; "
-            "a mask can leave them out"
+            f"{path}: expected finite pixels, found {worst} of {pixels} that are NaN, infinite or "
+            "outside of the data window; a mask can leave them out"
         )
-    said = f"{sum(counts)} pixels that are NaN or infinite left out, each of its picture alone"
+    said = f"{sum(counts)} pixels that are NaN, infinite or outside of a data window left out, "
+    said += "each of its picture alone"
     notes.assumed["gaps"] = f"{said}; the most in {path.name}, {worst}"
     log.warning("%s: %s", path.parent, notes.assumed["gaps"])
 
@@ -529,10 +530,9 @@ def _limits(read: Pictures, mask: Mask, notes: _Notes, *, for_good: bool) -> Cod
     for path, limits in zip(notes.files.pictures, of_pictures, strict=True):
         bounds |= bool(limits.any())
         if limits.all():
-            low, high = notes.how.code_range or images.CODE_RANGE
             raise InputError(
-                f"{path}: expected some pixel of the mask with codes from {low} to {high} of 255, "
-                "found all clipped or dark; code_range=(0, 255) keeps them"
+                f"{path}: expected some pixel of the mask within the range of codes, found all "
+                "clipped or dark; code_range=(0, 255) keeps them"
             )
     integers = [noise is not None for noise in read.noise]
     if bounds or for_good or any(np.logical_and(read.searched, integers)):

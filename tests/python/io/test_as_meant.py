@@ -20,6 +20,7 @@ from fuzz.damage import png_chunk
 from pbrfit._core import InputError
 from pbrfit.io import color, images
 from pbrfit.io.input_files import digest
+from scene_files import known
 
 RNG = np.random.default_rng(4)
 RGBA8: NDArray[np.uint8] = RNG.integers(1, 255, (41, 53, 4), dtype=np.uint8)
@@ -302,6 +303,61 @@ def test_exr_primaries_and_luminance(
     assert picture.color.startswith("layer beauty, ") == (layer == "beauty")
 
 
+NAMES: list[tuple[dict[str, Any], str | None, str]] = [
+    ({"colorInteropID": "lin_rec709_scene"}, None, "linear"),
+    ({"colorInteropID": "lin_ap1_scene"}, None, "acescg"),
+    ({"colorInteropID": "lin_ap1_scene", "chromaticities": AP1}, "acescg", "acescg"),
+    ({"colorInteropID": "lin_ap1_scene", "oiio:ColorSpace": "sRGB"}, None, "acescg"),
+    ({"colorInteropID": "srgb_rec709_display"}, None, "srgb"),
+    ({"colorInteropID": "srgb_p3d65_scene"}, "display-p3", "display-p3"),
+    ({"oiio:ColorSpace": "lin_srgb"}, None, "linear"),
+    ({"oiio:ColorSpace": "ACEScg"}, None, "acescg"),
+    ({"oiio:ColorSpace": "Linear Rec.709 (sRGB)"}, None, "linear"),
+    ({"oiio:ColorSpace": "Linear", "chromaticities": AP1}, None, "acescg"),
+    ({"colorInteropID": "unknown"}, "srgb", "srgb"),
+    ({"colorInteropID": "pq_rec2020_display"}, "linear", "linear"),
+    ({"colorInteropID": 3}, None, "linear"),
+    ({"colorInteropID": "pq_rec2020_display"}, None, "a known .*, found pq_rec2020_display"),
+    ({"colorInteropID": "lin_ap1_scene", "chromaticities": AP0}, None, "acescg"),
+    ({"colorInteropID": "lin_ap1_scene"}, "linear", "colour space linear, as .*, found lin_ap1"),
+]
+
+
+@pytest.mark.parametrize(("header", "asked", "expected"), NAMES)
+def test_colour_spaces_that_exr_files_name(
+    tmp_path: Path, header: dict[str, Any], asked: Any, expected: Any
+) -> None:
+    path = str(tmp_path / "a.exr")
+    OpenEXR.File(header, {"RGB": FLOAT}).write(path)
+    if expected not in get_args(color.ColorSpace):
+        with pytest.raises(InputError, match=rf"a\.exr: expected .*{expected}"):
+            images.read_picture(path, asked)
+        return
+    found = images.read_picture(path, asked)
+    wanted = color.conversion(expected)(FLOAT)
+    np.testing.assert_allclose(found.pixels, wanted, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("alpha", [None, 0, 1])
+def test_what_is_outside_of_the_data_window_is_untold(tmp_path: Path, alpha: int | None) -> None:
+    """Without alpha that tells, it is NaN, which is no sample; with alpha, it is transparent."""
+    path = str(tmp_path / "a.exr")
+    corners = {"displayWindow": ((0, 0), (59, 40)), "dataWindow": ((0, 0), (52, 40))}
+    header = {name: tuple(np.array(p, np.int32) for p in of) for name, of in corners.items()}
+    channels = {"RGB": FLOAT}
+    if alpha is not None:
+        channels = {"RGBA": np.dstack([FLOAT, np.full((41, 53), alpha, np.float32)])}
+    OpenEXR.File(header, channels).write(path)
+    found = images.read_picture(path)
+    np.testing.assert_array_equal(found.pixels[:, :53], FLOAT)
+    np.testing.assert_array_equal(found.pixels[:, 53:], 0 if alpha else np.nan)
+    assert (found.alpha is not None) == bool(alpha)
+    if alpha:
+        assert known(found.alpha)[:, :53].all()
+        assert not known(found.alpha)[:, 53:].any()
+    assert np.isnan(images.read_picture(path, straight=False).pixels[:, 53:]).all()
+
+
 @pytest.mark.parametrize(
     ("white", "message"), [((0.5, 0.0), "of white y > 0"), ((0.5, 0.5), "triangle")]
 )
@@ -387,6 +443,13 @@ def test_primaries_of_a_png_that_are_none_are_refused(tmp_path: Path) -> None:
         images.read_picture(tmp_path / "a.png")
 
 
+@pytest.mark.parametrize("form", ["JPEG", "PNG", "TIFF"])
+def test_that_exif_says_another_space_than_the_assumed_one(tmp_path: Path, form: str) -> None:
+    Image.fromarray(RGB8).save(tmp_path / "a", form, exif=exif(65535).tobytes())
+    said = f"sRGB (8-bit {form} without a profile, and EXIF says another colour space)"
+    assert images.read_picture(tmp_path / "a").color == said
+
+
 @pytest.mark.parametrize("form", ["JPEG", "PNG"])
 @pytest.mark.parametrize(
     ("tags", "profile", "expected", "told"),
@@ -394,12 +457,6 @@ def test_primaries_of_a_png_that_are_none_are_refused(tmp_path: Path) -> None:
         (exif(65535, "R03"), None, ADOBE, "Adobe RGB (EXIF of the 8-bit {})"),
         (exif(2), None, ADOBE, "Adobe RGB (EXIF of the 8-bit {})"),
         (exif(1, "R98"), None, SRGB, "sRGB (8-bit {} without a profile)"),
-        (
-            exif(65535),
-            None,
-            SRGB,
-            "sRGB (8-bit {} without a profile, and EXIF says another colour space)",
-        ),
         (exif(65535, "R03"), "srgb", SRGB, "ICC profile of the 8-bit {}"),
     ],
 )

@@ -532,7 +532,7 @@ def test_exr_data_window_is_placed_into_the_display_window(tmp_path: Path) -> No
             dataWindow=window(x, y, 9, 6),
             displayWindow=window(*display),
         )
-        plane = np.zeros((100, 100), np.float32)
+        plane = np.full((100, 100), np.nan, np.float32)
         plane[40 + y : 46 + y, 40 + x : 49 + x] = FLOAT[..., 0]
         found = images.read_channels(path)["Y"]
         np.testing.assert_array_equal(found, plane[50:58, 50:62])
@@ -682,6 +682,9 @@ def test_unwritable_pictures_leave_no_file(
     [
         ("a.png", b"", r"a\.png: expected a picture, found an empty file"),
         ("a.webp", b"RIFF\0\0\0\0WEBPVP8 ", r"expected EXR, HDR, PNG, JPEG or TIFF, found WebP"),
+        ("a.jxl", b"\xff\n\0\0\0\0\0\0", "found JPEG XL"),
+        ("a.jxl", b"\0\0\0\x0cJXL \r\n\x87\n", "found JPEG XL"),
+        ("a.png", b"version https://git-lfs.github.com/spec/v1\n", "Git LFS: .*`git lfs pull`"),
         ("a.gif", b"GIF89a\0\0\0\0", "found GIF"),
         ("a.bmp", b"BM\0\0\0\0\0\0", "found BMP"),
         ("a.png", b"<html></html>", "found a file that starts with b'<html></'"),

@@ -118,6 +118,27 @@ def test_places_on_a_dome_are_directions_and_it_says_so(tmp_path: Path) -> None:
     assert said.startswith("vectors of length 50 to 55 are taken as places on a dome")
 
 
+@pytest.mark.parametrize(("text", "refused"), [
+    ("a,0,45,1.2\nb,360,90,1.2", True),
+    ("a,0,45,1.2\nb,361,90,1.2", False),
+    ("a,0,45,1.2\nb,360,91,1.2", False),
+    ("a,0,45,1.2\nb,360,90,1.3", False),
+    ("1,0,45\n2,360,90\n", True),
+    ("1,0,45\n3,360,90\n", False),
+    ("a,-9,-9,50\nb,9,9,50", False),  # one length
+    ("a,-20,-9,50\nb,9,9,50", False),  # lamps above a table
+    ("a,1,0,50\nb,-20,0,50", False),  # in a row
+    ("x,y,z,picture\n0,45,1.2,a\n360,90,1.2,b", False),
+])  # fmt: skip
+def test_numbers_that_may_be_angles_need_a_header(tmp_path: Path, text: str, refused: bool) -> None:
+    path = written(tmp_path, "lights.csv", text)
+    if not refused:
+        assert len(read_lamps(path)[0]) == 2
+        return
+    with pytest.raises(InputError, match=r"s.csv: expected a header with x, y, z, found none, and"):
+        read_lamps(path)
+
+
 @pytest.mark.parametrize(("length", "told"), [(1.0199, False), (1.0201, True), (0.9799, True)])
 def test_lengths_are_rounding_to_the_threshold(tmp_path: Path, length: float, told: bool) -> None:
     rows, said = read_lamps(written(tmp_path, "d.lp", f"1\na 0 0 {length}\n"))
@@ -261,7 +282,7 @@ BAD_FILES: dict[str, tuple[str, str, str]] = {
     ),
     "colours in .lp": ("d.lp", "1\na.jpg 0.1 0 0.9 1 1 1\n", "expected file name, x, y, z, found"),
     "too many": ("lights.csv", "a,0,0,1\n" * 10_001, "expected at most 10000 lamps, found 10001"),
-    "no JSON": ("lights.json", "[", "lights.json: expected JSON with version and lamps"),
+    "no JSON": ("lights.json", "[", "^[^:]*lights.json: expected JSON .*, found JSONDecodeError"),
     "a list": ("lights.json", "[]", "lights.json: expected JSON with version and lamps"),
     "another version": ("lights.json", as_json(version=2), "version 2 in place of 1"),
     "no picture": (

@@ -85,6 +85,15 @@ def test_inverse_depth_of_a_room_is_refused(factor: float) -> None:
         scene(factor / depth, normals)
 
 
+def test_distances_along_rays_become_those_along_the_axis() -> None:
+    depth, normals = furnished()
+    made = scene(depth / geometry.view_directions(96, 96, FOV)[..., 2], normals)
+    assert made.assumed["depth"] == "read as distances along the rays, as the normals show"
+    np.testing.assert_allclose(known(made.depth), depth, rtol=1e-6)
+    assert dataclasses.replace(made, normals=normals).assumed == made.assumed  # once
+    assert "depth" not in scene(depth, normals).assumed
+
+
 @pytest.mark.parametrize("unit", [1, 10, 1000])
 def test_depth_of_an_orthographic_camera_in_another_unit_is_not_inverse(unit: float) -> None:
     depth = 3 + np.add.outer(np.arange(40) * 0.01, np.sin(np.arange(40) / 8) * 0.1)

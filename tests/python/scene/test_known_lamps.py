@@ -104,6 +104,11 @@ def test_inspect_tells_of_lamps(folder: Path) -> None:
         "lamps             3 far lamps, colours unknown; far ones up to 50 degrees apart, 0 to 37 "
         "from the viewer" in done("inspect", folder)
     )
+    near = with_lamps(lamps(near=np.ones(3, bool)))
+    without = "3 near lamps, colours unknown; no fit of near ones without depth, and none is given"
+    assert dict(inspection.facts(near))["lamps"] == without
+    deep = dataclasses.replace(near, depth=np.ones((SIZE, SIZE)))
+    assert dict(inspection.facts(deep))["lamps"] == "3 near lamps, colours unknown"
 
 
 # Without normals

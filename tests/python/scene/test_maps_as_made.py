@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import OpenEXR
 import pytest
 import tifffile
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from PIL import Image
 from command_runs import done, refused
 from pbrfit import InputError, Scene
 from pbrfit.io import images
+from pbrfit.io.color import decode_srgb
 from pbrfit.io.depth_files import read_depth
 from pbrfit.io.normal_files import read_normals
 from pbrfit.model.geometry import angles_between
@@ -93,6 +95,7 @@ AS_MEANT: dict[str, tuple[Any, str, bool]] = {
     "no_blue.png": ((BYTES * [1, 1, 0]).astype(np.uint8), "third channel is the same", False),
     "grey_and_alpha.png": (BYTES[..., :2], "z = √", False),
     "grey_coded.png": (np.rint(65535 * CODED).astype(np.uint16), "", False),
+    "decoded.exr": (layer(decode_srgb(CODED), *"RGB"), "decoded as if colours of sRGB", False),
     "floats.npy": (NORMALS.astype(np.float16), "", False),
     "bytes.npy": (BYTES, "codes up to 255", False),
     "bytes_as_floats.npy": (BYTES.astype(float), "codes up to 255", False),
@@ -312,22 +315,45 @@ def test_single_samples_that_are_no_numbers_are_left_out(
         [2, 3, 1],
         *([4, 5, c] for c in range(3)),
     ]
-    said = f"{LIGHTS + 1} pixels that are NaN or infinite left out"
+    said = f"{LIGHTS + 1} pixels that are NaN, infinite or outside of a data window left out"
     assert said in scene.assumed["gaps"]
     assert f"images: {said}" in caplog.text
     caplog.clear()
     assert not read_pictures(folder)[0].pixels[:, 4, 5].any()
     assert said in caplog.text
     assert np.isfinite(Scene.load(folder, max_size=SIZE // 2).images).all()
-    for count, usable in ((SIZE * SIZE // 2 - 1, True), (SIZE * SIZE // 2, False)):
+    for count, usable in ((SIZE * SIZE // 2, True), (SIZE * SIZE // 2 + 1, False)):
         picture = room().images[0].reshape(-1, 3).copy()
         picture[:count] = value
         write_exr(paths[0], picture.reshape(SIZE, SIZE, 3))
         if usable:
             Scene.load(folder)
         else:
-            with pytest.raises(InputError, match=r"light_00.exr: expected finite .* 128 of 256"):
+            with pytest.raises(InputError, match=r"light_00.exr: expected finite .* 129 of 256"):
                 Scene.load(folder)
+
+
+def window_rows(folder: Path, rows: int, pictures: int) -> None:
+    """Leave some rows from above of the first pictures, in a display window of all."""
+    last = (np.array([SIZE - 1, bottom - 1], np.int32) for bottom in (SIZE, rows))
+    display, data = ((np.zeros(2, np.int32), corner) for corner in last)
+    for name, picture in zip(room().names[:pictures], room().images, strict=False):
+        windows = {"displayWindow": display, "dataWindow": data}
+        path = folder / "images" / f"{name}.exr"
+        OpenEXR.File(windows, {"RGB": picture[:rows].copy()}).write(str(path))
+
+
+def test_pixels_outside_of_data_windows_are_no_samples(folder: Path) -> None:
+    window_rows(folder, SIZE - 1, 1)
+    scene = Scene.load(folder)
+    assert scene.valid.all()
+    np.testing.assert_array_equal(known(scene.weights)[0, -1], 0)
+    assert f"{SIZE} pixels that are NaN, infinite or outside" in scene.assumed["gaps"]
+    window_rows(folder, 3, 1)
+    said = "light_00.exr: expected finite pixels, found 208 of 256 that are"
+    assert said in refused("inspect", folder)
+    window_rows(folder, 3, LIGHTS)  # what no picture tells is as masked
+    assert (Scene.load(folder).valid == (np.arange(SIZE) < 3)[:, None]).all()
 
 
 def test_arithmetic_that_fails_is_one_line(
