@@ -30,7 +30,6 @@ from pbrfit.export.lights import file_names
 from pbrfit.export.maps import Maps
 from pbrfit.export.nonnegative import RIDGE, nonnegative_radiance
 from pbrfit.export.view_mesh import Geometry, camera, facets
-from pbrfit.io import images
 from pbrfit.io.color import decode_srgb
 from pbrfit.kernel import sh_basis, view_directions
 from pbrfit.model import panorama
@@ -641,18 +640,6 @@ def test_options_that_are_none_or_without_effect_are_refused(
     with pytest.raises(InputError, match=message):
         export_result(result, tmp_path / "out", **options)
     assert not list(tmp_path.iterdir())
-
-
-def test_what_is_no_result_is_refused_in_one_line(folder: Path, tmp_path: Path) -> None:
-    materials, command = folder / "materials.exr", ("export", folder, "--out", tmp_path / "out")
-    option = refused(*command, "--format", "exr", "--bits", 8)
-    assert option.startswith("pbrfit: bits: expected none with format exr")
-    channels = images.read_channels(materials)
-    images.write_exr(materials, {name: channels[name] for name in channels if name[0] != "r"})
-    assert "materials.exr: expected channel roughness.Y" in refused(*command)
-    materials.unlink()
-    assert "expected a result folder, as pbrfit decompose writes it" in refused(*command)
-    assert list(tmp_path.iterdir()) == [folder]
 
 
 def test_what_is_there_stays(folder: Path, tmp_path: Path) -> None:

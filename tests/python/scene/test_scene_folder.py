@@ -636,10 +636,6 @@ def test_more_segments_than_a_file_holds_are_refused(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def cut(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[:-200])
-
-
 BAD_FOLDERS: dict[str, tuple[Any, str]] = {
     "no such folder": (shutil.rmtree, "scene: expected a scene folder, found nothing"),
     "no pictures": (
@@ -694,10 +690,6 @@ BAD_FOLDERS: dict[str, tuple[Any, str]] = {
         lambda f: images.write_exr(f / "normals.exr", {"Y": np.ones((SIZE, SIZE))}),
         "normals.exr: expected normals in channels X, Y, Z .*, found Y",
     ),
-    "an empty mask": (
-        lambda f: write_mask(f / "mask.png", np.zeros((SIZE, SIZE))),
-        "mask.png: expected at least one white pixel, found none",
-    ),
     "a mask of another size": (
         lambda f: write_mask(f / "mask.png", np.ones((3, 4))),
         "mask.png: expected the pictures' size, 16 × 16 pixels, found 4 × 3",
@@ -705,14 +697,6 @@ BAD_FOLDERS: dict[str, tuple[Any, str]] = {
     "segments of another size": (
         lambda f: write_png(f / "segments.png", np.ones((3, 4))),
         "segments.png: expected the pictures' size",
-    ),
-    "segments in colour": (
-        lambda f: write_png(f / "segments.png", room().images[0]),
-        "segments.png: expected ids in a grey",
-    ),
-    "a truncated EXR": (
-        lambda f: cut(f / "images" / "light_01.exr"),
-        "light_01.exr: expected .*, found",
     ),
     "world space without a rotation": (
         lambda f: (f / "scene.toml").write_text('normals_frame = "world"'),
@@ -739,15 +723,9 @@ def test_bad_folders_are_refused_in_one_line(folder: Path, name: str) -> None:
     ("option", "message"),
     [
         ({"fov": 180.0}, "fov: expected 0 or degrees"),
-        ({"fov": np.nan}, "fov: expected 0 or degrees"),
         ({"max_size": 0}, "max_size: expected at least 1 pixel, found 0"),
         ({"max_size": 2.5}, r"max_size: expected at least 1 pixel, found \[2.5\]"),
         ({"color_space": "log"}, "color_space: expected one of srgb"),
-        (
-            {"orientation": "upright"},
-            "orientation: expected one of exif, as-stored, found 'upright'",
-        ),
-        ({"code_range": (9, 3)}, "code_range: expected two 8-bit codes"),
     ],
 )
 def test_bad_options_are_refused(folder: Path, option: Any, message: str) -> None:
