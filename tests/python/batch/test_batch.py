@@ -336,8 +336,6 @@ def test_a_result_that_is_not_whole_is_made_again(result: Path, name: str, what:
         ("version", "0.0.1"),
         ("held_out", {"error": "small"}),
         ("metrics", {"recon_rmse": "low"}),
-        ("seconds", "long"),
-        ("iterations", "many"),
         ("transport", {"kind": "none", "why": "", "extents": {}, "figures": {}}),
         *((key, None) for key in ("files", "scene", "inputs", "options", "uncertainty")),
         *((key, None) for key in ("status", "stop_reason", "left_out", "assumed", "stages")),

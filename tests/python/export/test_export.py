@@ -33,6 +33,7 @@ from pbrfit.export.view_mesh import Geometry, camera, facets
 from pbrfit.io.color import decode_srgb
 from pbrfit.kernel import sh_basis, view_directions
 from pbrfit.model import panorama
+from pbrfit.model.geometry import unit
 from pbrfit.model.materials import Materials
 from pbrfit.result.options import Priors
 from pbrfit.synthetic import make_scene
@@ -418,8 +419,7 @@ def test_tangent_space_is_camera_space_and_the_front_faces_the_camera(result: Re
 def test_facets_cover_pixels_and_have_their_normals(fov: float, shape: tuple[int, int]) -> None:
     height, width = shape
     random = np.random.default_rng(3)
-    normals = view_directions(height, width, fov) + 0.5 * random.normal(size=(*shape, 3))
-    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals = unit(view_directions(height, width, fov) + 0.5 * random.normal(size=(*shape, 3)))
     mask = random.uniform(size=shape) < 0.8
     mesh = facets(normals, mask, fov)
     assert len(mesh.triangles) == 2 * mask.sum()
@@ -442,8 +442,7 @@ def test_facets_cover_pixels_and_have_their_normals(fov: float, shape: tuple[int
     free &= (n * view_directions(height, width, fov)[mask]).sum(axis=-1) > 0.1
     assert free.sum() > 0.5 * len(n)
     for a, b, c in ((0, 1, 2), (0, 2, 3)):
-        face = np.cross(corners[:, b] - corners[:, a], corners[:, c] - corners[:, a])
-        face /= np.linalg.norm(face, axis=-1, keepdims=True)
+        face = unit(np.cross(corners[:, b] - corners[:, a], corners[:, c] - corners[:, a]))
         np.testing.assert_allclose(face[free], n[free], atol=2e-4)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pbrfit import InputError, Materials
-from pbrfit.model.geometry import positions
+from pbrfit.model.geometry import positions, unit
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.reflection import MODELS, Model, render, render_directional, render_lamps
@@ -30,8 +30,7 @@ def surfaces() -> tuple[Materials, Any, Any]:
         random.uniform(0.2, 1, shape),
         random.uniform(0, 1, shape),
     )
-    normals = random.normal(size=(*shape, 3)) * 0.4 + (0, 0, 1)
-    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals = unit(random.normal(size=(*shape, 3)) * 0.4 + (0, 0, 1))
     for values in (materials.albedo, materials.roughness, materials.metallic, normals):
         values[1, 2] = np.nan
     depth = random.uniform(2, 3, shape)
