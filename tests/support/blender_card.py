@@ -102,18 +102,17 @@ def relief(height: int, width: int, fov: float = 45.0, tilt: float = 12.0) -> Re
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     mask = np.hypot(x, y) > 0.12
     materials = Materials(albedo, 0.3 + 0.5 * x, studs.astype(float))
+    return planted(materials, normals, mask, fov=fov, lighting=lopsided_lights())
+
+
+def planted(
+    materials: Materials, normals: NDArray[np.float64], mask: NDArray[np.bool_], **more: Any
+) -> Result:
+    """A result of these maps, which become NaN outside the mask."""
     for values in (materials.albedo, materials.roughness, materials.metallic, normals):
         values[~mask] = np.nan
-    fitted = decompose(make_scene("room", size=8, lights=3, held_out=1), iterations=1)
-    return replace(
-        fitted,
-        materials=materials,
-        normals=normals,
-        mask=mask,
-        fov=fov,
-        uncertainty=None,
-        lighting=lopsided_lights(),
-    )
+    like = decompose(make_scene("room", size=8, lights=3, held_out=1), iterations=1)
+    return replace(like, materials=materials, normals=normals, mask=mask, uncertainty=None, **more)
 
 
 def lopsided_lights() -> NDArray[np.float64]:

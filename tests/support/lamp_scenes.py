@@ -57,8 +57,7 @@ def ball(
     y, x = np.mgrid[:size, :size]
     x, y = (x - (size - 1) / 2) / (0.42 * size), ((size - 1) / 2 - y) / (0.42 * size)
     mask = x**2 + y**2 < 0.98
-    normals = np.stack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 1e-9))], axis=-1)
-    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals = geometry.unit(np.stack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 1e-9))], axis=-1))
     stripe = np.floor((x + 1) * 2.5).astype(int) % albedos
     colors = np.array([[0.6, 0.5, 0.4], [0.25, 0.3, 0.5], [0.5, 0.2, 0.15]])
     return _rendered(normals, mask, colors[stripe], directions, strengths, gloss, coded, 0.0)
@@ -76,8 +75,7 @@ def relief(directions: Array, *, size: int = 72, fov: float = 0.0, coded: bool =
         facing = 1 + right * slope_x - up * slope_y
     else:
         facing = np.ones_like(slope_x)
-    normals = np.stack([slope_x, -slope_y, facing], axis=-1)
-    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals = geometry.unit(np.stack([slope_x, -slope_y, facing], axis=-1))
     albedo = np.where((x + y < 6)[..., None], [0.6, 0.55, 0.5], [0.3, 0.35, 0.5])
     return _rendered(
         normals, np.ones((size, size), bool), albedo, directions, None, 0.0, coded, fov
@@ -99,8 +97,7 @@ def _rendered(
     strengths = np.ones(len(directions)) if strengths is None else strengths
     pictures = []
     for direction, strength in zip(directions, strengths, strict=True):
-        half = views + direction
-        half /= np.linalg.norm(half, axis=-1, keepdims=True)
+        half = geometry.unit(views + direction)
         shading = np.maximum(normals @ direction, 0.0)[..., None]
         shine = gloss * np.maximum(np.einsum("hwi,hwi->hw", normals, half), 0.0) ** 80
         pictures.append(strength * (albedo * shading + shine[..., None] * (shading > 0)))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.model.geometry import positions, view_directions
+from pbrfit.model.geometry import positions, unit, view_directions
 from pbrfit.synthetic.geometry import Box, Plane, Primitive, Sphere, rotation, trace
 from pbrfit.values.arrays import Array
 
@@ -120,7 +120,6 @@ def meets(triangles: NDArray[np.float32], starts: Array, directions: Array) -> N
 
 def cosine_rays(normals: Array, rng: np.random.Generator) -> Array:
     """One direction for each normal (P, 3), as a diffuse surface weights them."""
-    ball = rng.normal(size=normals.shape)
-    ball /= np.linalg.norm(ball, axis=-1, keepdims=True)
+    ball = unit(rng.normal(size=normals.shape))
     found = normals + 0.999 * ball
     return np.asarray(found / np.linalg.norm(found, axis=-1, keepdims=True))

@@ -54,8 +54,7 @@ def off(found: NDArray[Any], true: Array) -> Array:
 def test_normals_tell_the_offset_of_relative_depth(disparity: bool, error_degrees: float) -> None:
     depth, normals = surface()
     noise = np.random.default_rng(1).normal(size=normals.shape)
-    given = normals + np.tan(np.radians(error_degrees)) * noise
-    given /= np.linalg.norm(given, axis=-1, keepdims=True)
+    given = geometry.unit(normals + np.tan(np.radians(error_degrees)) * noise)
     relative = 1 / depth if disparity else depth
     relative = (relative - relative.min()) / np.ptp(relative)
     found, said = with_offset(relative, given, FOV, disparity=disparity)

@@ -151,21 +151,15 @@ def test_few_depths_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -
 
 def test_depth_files_that_cannot_be_used(tmp_path: Path) -> None:
     shown = np.zeros((16, 16, 3), np.uint8)
-    images.write_exr(tmp_path / "rgb.exr", {c: np.ones((16, 16)) for c in "AB"})
     images.write_png(
         tmp_path / "jet.png", np.random.default_rng(0).integers(0, 255, (16, 16, 3), np.uint8), None
     )
-    images.write_exr(tmp_path / "none.exr", {"Z": np.zeros((16, 16))})
     images.write_exr(tmp_path / "wide.exr", {"Z": np.ones((16, 32))})
     np.save(tmp_path / "many.npy", np.ones((3, 16, 16)))
-    np.save(tmp_path / "words.npy", np.array(["a"]))
     for name, message in {
-        "rgb.exr": "rgb.exr: expected depth in a channel Z, .* found A, B",
         "jet.png": "jet.png: expected depth in one channel, found colours",
-        "none.exr": "none.exr: depth: expected distances above 0, found none",
         "wide.exr": "wide.exr: expected the pictures' size, 16 × 16 .* found 32 × 16",
         "many.npy": r"many.npy: expected depth \(H, W\), found shape \(3, 16, 16\)",
-        "words.npy": "words.npy: expected an array of real numbers",
     }.items():
         with pytest.raises(InputError, match=message):
             estimate(f"depth:{tmp_path / name}", shown, fov=60.0)

@@ -14,7 +14,7 @@ from pbrfit._core import InputError
 from pbrfit.acquire.segments import ids_of, segment
 from pbrfit.io import images
 from pbrfit.scene.scene import Scene
-from scene_files import SIZE, write_folder
+from scene_files import SIZE
 
 ALL = (20, 30)
 
@@ -63,8 +63,7 @@ def test_ids_of_a_file_are_taken_at_centres(tmp_path: Path) -> None:
         segment(str(path), np.zeros((5, 10, 3), np.uint8))
 
 
-def test_the_command_puts_them_beside_the_pictures(tmp_path: Path) -> None:
-    folder = write_folder(tmp_path / "scene")
+def test_the_command_puts_them_beside_the_pictures(folder: Path, tmp_path: Path) -> None:
     ids = np.zeros((SIZE, SIZE), np.uint16)
     ids[:4] = 500
     images.write_png(tmp_path / "ids.png", ids, tag=None)

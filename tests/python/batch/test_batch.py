@@ -336,8 +336,6 @@ def test_a_result_that_is_not_whole_is_made_again(result: Path, name: str, what:
         ("version", "0.0.1"),
         ("held_out", {"error": "small"}),
         ("metrics", {"recon_rmse": "low"}),
-        ("seconds", "long"),
-        ("iterations", "many"),
         ("transport", {"kind": "none", "why": "", "extents": {}, "figures": {}}),
         *((key, None) for key in ("files", "scene", "inputs", "options", "uncertainty")),
         *((key, None) for key in ("status", "stop_reason", "left_out", "assumed", "stages")),
@@ -362,25 +360,6 @@ def test_two_batches_do_not_write_to_one_place(folder: Path, tmp_path: Path) -> 
         assert (temporaries / "0123456789ab").is_dir()
     assert not out.exists()
     assert run("decompose", folder, "--out", out, *FEW, "--quiet") == 0
-
-
-def test_what_a_killed_batch_left_is_removed_and_what_it_took_away_put_back(
-    folder: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    assert run("decompose", folder, "--out", out, *FEW, "--quiet") == 0
-    left = out / ".pbrfit"
-    (left / "123456789abc").mkdir(parents=True)
-    (left / "123456789abc" / "materials.exr").touch()
-    (left / "56789abcdef0-old").mkdir()
-    (out / "two").rename(left / "56789abcdef0-old" / "two")  # between two renames
-    (left / "lock").touch()
-    before = marks(out)
-    assert run("decompose", folder, "--out", out, *FEW, "--quiet", "--resume") == 0
-    after = marks(out)
-    assert after.pop("two")
-    assert after == before
-    assert sorted(path.name for path in out.iterdir()) == sorted(NAMES)
 
 
 def test_a_scene_that_is_no_longer_wanted_is_given_up(folder: Path, tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 import pbrfit
 from pbrfit import DirectionalLight, InputError, Materials, Objective, Priors, Result, Scene
 from pbrfit.model import lighting as sh_lights
+from pbrfit.model.geometry import unit
 from pbrfit.result import metrics
 from pbrfit.synthetic import make_scene
 from scene_files import known, truth_of
@@ -156,16 +157,11 @@ def objective() -> Objective:
     return Objective(room(), priors=Priors())
 
 
-def unit(rng: np.random.Generator, *shape: int) -> NDArray[np.float64]:
-    vectors = rng.normal(size=(*shape, 3))
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
-
-
 def pixel_arguments() -> dict[str, Any]:
     rng = np.random.default_rng(1)
     return {
-        "normal": unit(rng, 5),
-        "view": unit(rng, 5),
+        "normal": unit(rng.normal(size=(5, 3))),
+        "view": unit(rng.normal(size=(5, 3))),
         "albedo": rng.random((5, 3)),
         "roughness": rng.random(5),
         "metallic": rng.random(5),
@@ -247,7 +243,8 @@ class Call:
 
 CALLS: dict[str, Call] = {
     "sh_basis": Call(
-        pbrfit.kernel.sh_basis, lambda: {"directions": unit(np.random.default_rng(0), 7)}
+        pbrfit.kernel.sh_basis,
+        lambda: {"directions": unit(np.random.default_rng(0).normal(size=(7, 3)))},
     ),
     "ggx_band_weights": Call(pbrfit.kernel.ggx_band_weights, lambda: {"r": np.linspace(0, 1, 6)}),
     "shade": Call(pbrfit.kernel.shade, pixel_arguments, ["pixels"]),

@@ -111,7 +111,6 @@ def test_json_is_the_review_and_nothing_else(made: Path) -> None:
         (("--negative", ""), "--negative: goes with"),
         (("--model", "x"), "--model: goes with"),
         (("--device", "cpu"), "--device: goes with depth-anything, flux2-klein, marigold, sam2"),
-        (("--depth", "normals"), "depth: expected normals beside it, found flat ones"),
         (("--regenerate", "1"), "--regenerate: goes with"),
         (("--max-size", "60"), "max_size: expected at least 64"),
         (("--normals", "flatt"), "--normals: expected marigold, flat, depth:FILE or a file"),

@@ -118,7 +118,6 @@ def test_existing_lamps_are_kept(folder: Path, tmp_path: Path) -> None:
         (("--from", "ballpark"), "--from: expected ball or a file, found 'ballpark'"),
         (("--circle", "1,2"), "--circle: expected X,Y,R, finite numbers, found '1,2'"),
         (("--circle", "1,2,nan"), "--circle: expected X,Y,R, finite numbers"),
-        (("--circle", "500,2,9"), "scene: circle: expected a centre within 16 × 16 pixels"),
         (("--circle", "8,8,2"), "scene: circle: expected a radius of 4 pixels or more, found 2"),
         (("--ball", "glass"), "--ball: invalid choice: 'glass'"),
         (("--albedo", "1.5"), "albedo: expected a number above 0, 1 at most, found 1.5"),

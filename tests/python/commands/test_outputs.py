@@ -60,9 +60,8 @@ def test_an_export_holds_what_it_lists(fitted: Result, tmp_path: Path, preset: s
     ],
 )
 def test_nothing_is_written_where_a_scene_is_read(
-    fitted: Result, tmp_path: Path, command: tuple[str, ...], out: str
+    fitted: Result, folder: Path, tmp_path: Path, command: tuple[str, ...], out: str
 ) -> None:
-    folder = write_folder(tmp_path / "scene")
     if out.startswith("loose"):
         folder = (folder / "images").rename(tmp_path / "loose")
     place = (folder.parent if folder.name == "loose" else folder) / out
@@ -144,9 +143,8 @@ def test_what_somebody_put_into_an_output_keeps_it(
     ids=lambda command: f"{command[0]}-{Path(command[-1]).name}",
 )
 def test_no_file_is_written_through_a_link(
-    result: Path, tmp_path: Path, command: tuple[str, ...]
+    result: Path, folder: Path, tmp_path: Path, command: tuple[str, ...]
 ) -> None:
-    scene = write_folder(tmp_path / "scene")
     ids = tmp_path / "ids.png"
     images.write_png(ids, np.ones((16, 16), np.uint8), None)
     *arguments, name = command
@@ -154,7 +152,7 @@ def test_no_file_is_written_through_a_link(
     out.unlink(missing_ok=True)
     out.symlink_to(tmp_path / "theirs")
     (tmp_path / "theirs").write_text("precious")
-    named = {"RESULT": result, "SCENE": scene, "IDS": ids}
+    named = {"RESULT": result, "SCENE": folder, "IDS": ids}
     given: list[Argument] = [named.get(one, one) for one in arguments]
     if not name.startswith("SCENE"):
         given.append(out)

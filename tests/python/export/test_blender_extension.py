@@ -20,8 +20,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from blender_card import planted
 from blender_extension import Import, imported
-from pbrfit import Result, decompose, relight
+from pbrfit import Result, relight
 from pbrfit.export import export_result
 from pbrfit.export.blender import ZIP_FILE, extension
 from pbrfit.io import images
@@ -83,19 +84,7 @@ def room(model: Model) -> Result:
     true = truth_of(made).materials
     materials = Materials(true.albedo.copy(), true.roughness.copy(), true.metallic.copy())
     normals = made.normals.astype(np.float64)
-    for values in (materials.albedo, materials.roughness, materials.metallic, normals):
-        values[~mask] = np.nan
-    fitted = decompose(make_scene("room", size=8, lights=3, held_out=1), iterations=1)
-    return replace(
-        fitted,
-        materials=materials,
-        normals=normals,
-        mask=mask,
-        fov=made.fov,
-        lighting=lights_of(made),
-        uncertainty=None,
-        model=model,
-    )
+    return planted(materials, normals, mask, fov=made.fov, lighting=lights_of(made), model=model)
 
 
 @dataclass(frozen=True)

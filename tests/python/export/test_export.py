@@ -30,10 +30,10 @@ from pbrfit.export.lights import file_names
 from pbrfit.export.maps import Maps
 from pbrfit.export.nonnegative import RIDGE, nonnegative_radiance
 from pbrfit.export.view_mesh import Geometry, camera, facets
-from pbrfit.io import images
 from pbrfit.io.color import decode_srgb
 from pbrfit.kernel import sh_basis, view_directions
 from pbrfit.model import panorama
+from pbrfit.model.geometry import unit
 from pbrfit.model.materials import Materials
 from pbrfit.result.options import Priors
 from pbrfit.synthetic import make_scene
@@ -419,8 +419,7 @@ def test_tangent_space_is_camera_space_and_the_front_faces_the_camera(result: Re
 def test_facets_cover_pixels_and_have_their_normals(fov: float, shape: tuple[int, int]) -> None:
     height, width = shape
     random = np.random.default_rng(3)
-    normals = view_directions(height, width, fov) + 0.5 * random.normal(size=(*shape, 3))
-    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals = unit(view_directions(height, width, fov) + 0.5 * random.normal(size=(*shape, 3)))
     mask = random.uniform(size=shape) < 0.8
     mesh = facets(normals, mask, fov)
     assert len(mesh.triangles) == 2 * mask.sum()
@@ -443,8 +442,7 @@ def test_facets_cover_pixels_and_have_their_normals(fov: float, shape: tuple[int
     free &= (n * view_directions(height, width, fov)[mask]).sum(axis=-1) > 0.1
     assert free.sum() > 0.5 * len(n)
     for a, b, c in ((0, 1, 2), (0, 2, 3)):
-        face = np.cross(corners[:, b] - corners[:, a], corners[:, c] - corners[:, a])
-        face /= np.linalg.norm(face, axis=-1, keepdims=True)
+        face = unit(np.cross(corners[:, b] - corners[:, a], corners[:, c] - corners[:, a]))
         np.testing.assert_allclose(face[free], n[free], atol=2e-4)
 
 
@@ -641,18 +639,6 @@ def test_options_that_are_none_or_without_effect_are_refused(
     with pytest.raises(InputError, match=message):
         export_result(result, tmp_path / "out", **options)
     assert not list(tmp_path.iterdir())
-
-
-def test_what_is_no_result_is_refused_in_one_line(folder: Path, tmp_path: Path) -> None:
-    materials, command = folder / "materials.exr", ("export", folder, "--out", tmp_path / "out")
-    option = refused(*command, "--format", "exr", "--bits", 8)
-    assert option.startswith("pbrfit: bits: expected none with format exr")
-    channels = images.read_channels(materials)
-    images.write_exr(materials, {name: channels[name] for name in channels if name[0] != "r"})
-    assert "materials.exr: expected channel roughness.Y" in refused(*command)
-    materials.unlink()
-    assert "expected a result folder, as pbrfit decompose writes it" in refused(*command)
-    assert list(tmp_path.iterdir()) == [folder]
 
 
 def test_what_is_there_stays(folder: Path, tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import pytest
 
 from pbrfit import Scene, decompose
 from pbrfit.fit import given
+from pbrfit.model.geometry import unit
 from pbrfit.model.lamps import Lamps
 from pbrfit.result.verdict import nothing_usable
 from pbrfit.synthetic import make_scene
@@ -100,8 +101,7 @@ def test_normals_that_tell_nothing_are_not_contradicted() -> None:
     scene = make_scene("room", size=48, lights=2, held_out=1, seed=3)
     plane = replace(scene, normals=np.broadcast_to((0.6, 0.0, 0.8), scene.normals.shape))
     assert said(plane) is None
-    noise = np.random.default_rng(2).normal(0, 0.3, scene.normals.shape) + np.array((0, 0, 1))
-    noise /= np.linalg.norm(noise, axis=-1, keepdims=True)
+    noise = unit(np.random.default_rng(2).normal(0, 0.3, scene.normals.shape) + np.array((0, 0, 1)))
     assert said(replace(scene, normals=noise)) is None
 
 
@@ -133,8 +133,7 @@ def test_far_lamps_that_are_turned_or_slanted_otherwise_are_named(seed: int) -> 
         (np.diag([0.5, 0.5, 1.0]), False, "lamps 1.5 times as slanted"),
         (np.vstack([about_z, (0, 0, 1)]), False, "lamps turned by -15 degrees about Z"),
     ):
-        places = scene.lamps.places @ turn
-        places /= np.linalg.norm(places, axis=-1, keepdims=True)
+        places = unit(scene.lamps.places @ turn)
         wrong = replace(scene, lamps=replace(scene.lamps, places=places))
         assert said(wrong if known else without_normals(wrong)) == ("lamps", remedy)
 

@@ -9,14 +9,11 @@ from numpy.typing import NDArray
 from pbrfit.fit.normals.prior import Neighbourhood, TangentOffsetPrior
 from pbrfit.fit.sampling import pixel_index
 from pbrfit.fit.settings import NORMALS_OFFSET_SIGMA_ALONE, NORMALS_OFFSET_SIGMA_RANGE
+from pbrfit.model.geometry import unit
 from pbrfit.values.arrays import Array
 from scene_kinds import holed
 
 VARIANCE = 0.7
-
-
-def unit(vectors: Array) -> Array:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
 def around(

@@ -92,9 +92,7 @@ def test_layers_of_given_normals_as_another_reader_sees_them(
 ) -> None:
     result.save(tmp_path / "out")
     layers = layers_of(tmp_path / "out" / "materials.exr")
-    given, change = result.given_normals, result.normal_change
-    assert given is not None
-    assert change is not None
+    given, change = known(result.given_normals), known(result.normal_change)
     expected = {
         **{f"normal.{name}": result.normals[..., i] for i, name in enumerate("XYZ")},
         **{f"normal_given.{name}": given[..., i] for i, name in enumerate("XYZ")},
@@ -166,8 +164,7 @@ def test_missing_layers_of_given_normals_are_named(result: Result, tmp_path: Pat
 
 
 def test_relighting_and_export_take_the_refined_normals(result: Result, tmp_path: Path) -> None:
-    light, given = result.lighting[0], result.given_normals
-    assert given is not None
+    light, given = result.lighting[0], known(result.given_normals)
     expected, wrong = (
         render(result.materials, normals, light, result.fov) for normals in (result.normals, given)
     )
@@ -219,9 +216,7 @@ def test_the_page_shows_given_and_refined_normals_and_the_decision(
     result: Result, tmp_path: Path
 ) -> None:
     page = written(result, tmp_path / "page.html")
-    given, change = result.given_normals, result.normal_change
-    assert given is not None
-    assert change is not None
+    given, change = known(result.given_normals), known(result.normal_change)
     for alt, normals in (
         ("Normals as colours", result.normals),
         ("Normals as colours, given", given),

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 
 import pbrfit
+from pbrfit.fit import decompose as decompose_module
 from pbrfit.fit import memory, settings
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.run import Progress
 from pbrfit.fit.settings import WHOLE_PIXELS_MAX
-from pbrfit.fit.tiles import ending
+from pbrfit.fit.tiles import ending, fit_tiles
 from pbrfit.fit.windows import strided_window
 from pbrfit.result.data import Status
 from pbrfit.synthetic import make_scene
 from scene_files import known, truth_of
-from tiled import in_tiles
 
 NINE: dict[str, Any] = {"side": 30, "subset": 1296}
 """Of pictures of 72², a subset of every second row and column, and nine tiles."""
@@ -34,6 +35,13 @@ def exact() -> pbrfit.Scene:
 @pytest.fixture(scope="module")
 def noisy() -> pbrfit.Scene:
     return make_scene("furnished", size=72, lights=8, held_out=2, noise=0.01, seed=2005)
+
+
+def in_tiles(patch: pytest.MonkeyPatch, *, side: int, subset: int) -> None:
+    """Every picture is a large one: lights from about `subset` pixels, then tiles of `side`²."""
+    patch.setattr(settings, "WHOLE_PIXELS_MAX", 0)
+    tiled = partial(fit_tiles, subset_pixels=subset, side=side)
+    patch.setattr(decompose_module, "fit_tiles", tiled)
 
 
 @pytest.fixture

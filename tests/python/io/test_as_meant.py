@@ -359,11 +359,16 @@ def test_what_is_outside_of_the_data_window_is_untold(tmp_path: Path, alpha: int
 
 
 @pytest.mark.parametrize(
-    ("white", "message"), [((0.5, 0.0), "of white y > 0"), ((0.5, 0.5), "triangle")]
+    ("points", "message"),
+    [
+        ((*XYZ[:6], 0.5, 0.0), "of white y > 0"),
+        ((*XYZ[:6], 0.5, 0.5), "triangle"),
+        ((0.1, 0.1, 0.2, 0.2, 0.3, 0.3, 0.3127, 0.329), "triangle"),
+    ],
 )
-def test_a_white_without_light_is_refused(tmp_path: Path, white: Any, message: str) -> None:
+def test_primaries_that_are_none_are_refused(tmp_path: Path, points: Any, message: str) -> None:
     path = str(tmp_path / "a.exr")
-    OpenEXR.File({"chromaticities": (*XYZ[:6], *white)}, {"RGB": FLOAT}).write(path)
+    OpenEXR.File({"chromaticities": points}, {"RGB": FLOAT}).write(path)
     with pytest.raises(InputError, match=rf"a\.exr: chromaticities: expected .*{message}"):
         images.read_picture(path)
 
@@ -432,8 +437,7 @@ def test_colour_chunks_of_png(tmp_path: Path, name: str) -> None:
     )  # fmt: skip
     asked = images.read_picture(tmp_path / "a.png", color_space="srgb")
     np.testing.assert_allclose(asked.pixels, SRGB, rtol=1e-6)
-    assert picture.stored is not None
-    noise = picture.stored.noise(picture.pixels.shape[:2]).deviation(np.zeros((1, 1, 3)))
+    noise = known(picture.stored).noise(picture.pixels.shape[:2]).deviation(np.zeros((1, 1, 3)))
     assert (noise > 0).all()  # also where a power is flat
 
 

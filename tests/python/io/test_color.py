@@ -76,15 +76,6 @@ def test_matrices_are_those_that_are_published(found: Any, published: Any, error
     np.testing.assert_allclose(found, published, atol=error)
 
 
-def test_unusable_primaries_are_refused() -> None:
-    line = color.Primaries((0.1, 0.1), (0.2, 0.2), (0.3, 0.3), (0.3127, 0.3290))
-    with pytest.raises(ValueError, match="triangle"):
-        color.rgb_to_xyz(line)
-    zero = color.Primaries((0.0, 0.0), (0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
-    with pytest.raises(ValueError, match="y > 0"):
-        color.rgb_to_xyz(zero)
-
-
 def test_rec709_is_recognised_up_to_rounding() -> None:
     half = color.Primaries((0.6401, 0.33), (0.30, 0.6001), (0.15, 0.06), (0.3127, 0.3290))
     assert color.near_rec709(half)

@@ -30,7 +30,6 @@ from pbrfit.model.panorama import read as read_panorama
 from pbrfit.result.history import History
 from pbrfit.scene.folder import locate, read_settings
 from pbrfit.synthetic import make_scene
-from scene_files import write_folder
 
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="no pipes and devices there")
 
@@ -117,8 +116,7 @@ def test_a_scene_with_something_else_in_place_of_a_file_is_refused(
 @POSIX
 @pytest.mark.parametrize("kind", ["a pipe", "a folder", "a link to nothing", "a device"])
 @pytest.mark.parametrize("name", ["light_09.exr", "more", "notes.txt"])
-def test_whatever_is_no_file_beside_pictures_is_named(tmp_path: Path, name: str, kind: str) -> None:
-    folder = write_folder(tmp_path / "scene")
+def test_whatever_is_no_file_beside_pictures_is_named(folder: Path, name: str, kind: str) -> None:
     path = folder / "images" / name
     if kind == "a pipe":
         os.mkfifo(path)
@@ -134,8 +132,7 @@ def test_whatever_is_no_file_beside_pictures_is_named(tmp_path: Path, name: str,
 
 
 @POSIX
-def test_links_to_files_are_files(tmp_path: Path) -> None:
-    folder = write_folder(tmp_path / "scene")
+def test_links_to_files_are_files(folder: Path, tmp_path: Path) -> None:
     for name in ("images/light_00.exr", "normals.exr", "scene.toml"):
         moved = tmp_path / Path(name).name
         (folder / name).rename(moved)
@@ -188,9 +185,8 @@ def test_a_picture_beyond_its_bound_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("words", ["", "Unable to allocate 3. GiB"])
 def test_too_little_memory_names_the_file(
-    tmp_path: Path, words: str, monkeypatch: pytest.MonkeyPatch
+    folder: Path, words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folder = write_folder(tmp_path / "scene")
     (folder / "mask.png").write_bytes(b"\x89PNG\r\n\x1a\n")
 
     def decode_raster(*_: object, **__: object) -> NoReturn:

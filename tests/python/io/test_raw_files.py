@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import tifffile
 from numpy.typing import NDArray
 
 from pbrfit import InputError, Scene
 from pbrfit.io import images, raw_files
 from pbrfit.io.color import REC709, rgb_to_xyz
 from pbrfit.io.limits import AT_LEAST, AT_MOST
-from raw_writer import write_dng
 from scene_files import known
 
 H, W = 12, 16
@@ -200,6 +200,44 @@ def test_without_rawpy_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch, tmp_p
 def test_maps_are_in_no_raw_file(tmp_path: Path, read: Any) -> None:
     with pytest.raises(InputError, match=r"a.nef: expected EXR, HDR, .*, found a raw file"):
         read(written(tmp_path))
+
+
+BLACK, WHITE = 128, 4095
+
+NEUTRAL = (0.5, 1.0, 0.8)
+"""What the camera's channels are of white: the balance is 2, 1, 1.25."""
+
+XYZ_TO_CAMERA = (0.67, -0.06, -0.10, -0.43, 1.25, 0.20, -0.09, 0.22, 0.57)
+
+
+def write_dng(path: Path, white_share: NDArray[np.floating[Any]], orientation: int = 1) -> None:
+    """Write a picture of a white card whose radiance (H, W), of the green white level, is given.
+
+    The pattern is R G, G B; sensors stop at their white level.
+    """
+    share = np.array(white_share, np.float64)
+    share[0::2, 0::2] *= NEUTRAL[0]
+    share[1::2, 1::2] *= NEUTRAL[2]
+    bayer = np.rint(BLACK + np.minimum(share, 1) * (WHITE - BLACK)).astype(np.uint16)
+
+    def rationals(values: tuple[float, ...]) -> tuple[int, ...]:
+        return tuple(part for value in values for part in (round(10_000 * value), 10_000))
+
+    tags = [
+        (271, "s", 0, "Acme", False),
+        (272, "s", 0, "Acme One", False),
+        (274, "H", 1, orientation, False),
+        (33421, "H", 2, (2, 2), False),  # repeated pattern
+        (33422, "B", 4, (0, 1, 1, 2), False),
+        (50706, "B", 4, (1, 4, 0, 0), False),  # version
+        (50708, "s", 0, "Acme One", False),
+        (50714, "H", 1, BLACK, False),
+        (50717, "H", 1, WHITE, False),
+        (50721, "2i", 9, rationals(XYZ_TO_CAMERA), False),
+        (50728, "2I", 3, rationals(NEUTRAL), False),
+        (50778, "H", 1, 21, False),  # D65
+    ]
+    tifffile.imwrite(path, bayer, photometric=32803, planarconfig=1, extratags=tags, metadata=None)
 
 
 @pytest.fixture

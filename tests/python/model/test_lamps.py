@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pbrfit import InputError, Materials
-from pbrfit.model.geometry import positions
+from pbrfit.model.geometry import positions, unit
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.reflection import MODELS, Model, render, render_directional, render_lamps
@@ -30,8 +30,7 @@ def surfaces() -> tuple[Materials, Any, Any]:
         random.uniform(0.2, 1, shape),
         random.uniform(0, 1, shape),
     )
-    normals = random.normal(size=(*shape, 3)) * 0.4 + (0, 0, 1)
-    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals = unit(random.normal(size=(*shape, 3)) * 0.4 + (0, 0, 1))
     for values in (materials.albedo, materials.roughness, materials.metallic, normals):
         values[1, 2] = np.nan
     depth = random.uniform(2, 3, shape)
@@ -173,7 +172,6 @@ def test_lamps_in_the_order_of_pictures() -> None:
         ({"lamps": None}, "expected JSON with basis.*found KeyError: 'lamps'"),
         ({"lamps": {}}, "in place of a list of lamps"),
         ({"lamps": [{"picture": "a"}]}, "lamp 1: expected picture and direction or position"),
-        ({"lamps": [{"direction": [0, 0, 1]}]}, "lamp 1: .* found KeyError: 'picture'"),
         (
             {"lamps": [{"picture": "e", "direction": [0, 0, 1]}]},
             "lamp 1: expected the name of a picture of the file, found e",
@@ -181,14 +179,6 @@ def test_lamps_in_the_order_of_pictures() -> None:
         (
             {"lamps": [{"picture": "a", "direction": [0, 0, 2]}]},
             "lamp 1: expected a direction of length 1, found 2",
-        ),
-        (
-            {"lamps": [{"picture": "a", "direction": [0, 0, 1], "color": [1, -1, 1]}]},
-            "lamp 1: expected .*color",
-        ),
-        (
-            {"lamps": [{"picture": "a", "position": [0, 0, 1], "exponent": -1}]},
-            "lamp 1: .* found ValueError: exponent -1 in place of 0 or more",
         ),
         (
             {"lamps": [{"picture": "a", "position": [0, 0, math.inf]}]},

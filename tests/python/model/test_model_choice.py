@@ -15,7 +15,7 @@ import pytest
 
 import pbrfit
 from pbrfit import InputError, Objective, Result, Scene, decompose, relight
-from pbrfit.model.reflection import DEFAULT_MODEL, MODELS, Model, checked_model, render_directional
+from pbrfit.model.reflection import DEFAULT_MODEL, MODELS, Model, render_directional
 from pbrfit.scene import folder as scene_folder
 from pbrfit.synthetic import make_scene
 from scene_files import held_out_of, lights_of, run, truth_of, write_folder
@@ -64,10 +64,6 @@ def test_a_name_of_no_model_is_refused_wherever_one_is_given(model: Any) -> None
     for call in misnamed(model):
         with pytest.raises(InputError, match=r"^model: expected paper or principled, found .+$"):
             call()
-
-
-def test_the_default_is_one_of_the_models() -> None:
-    assert checked_model(DEFAULT_MODEL) in MODELS
 
 
 MODEL_CALLS = ("render", "shade", "shade_vjp", "render_directional")

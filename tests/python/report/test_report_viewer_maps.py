@@ -18,7 +18,7 @@ from PIL import Image
 from pbrfit import Scene
 from pbrfit.display.tone import encoded
 from pbrfit.kernel import ggx_band_weights
-from pbrfit.model.geometry import view_directions
+from pbrfit.model.geometry import unit, view_directions
 from pbrfit.report.viewer import BAND_NODES, film, fragment, maps
 from pbrfit.result import metrics
 from relight_view import made
@@ -60,8 +60,7 @@ def test_what_is_unpacked_is_the_maps_to_within_half_a_code() -> None:
     z = 1 - np.abs(u) - np.abs(v)
     x = np.where(z < 0, np.where(u >= 0, 1, -1) * (1 - np.abs(v)), u)
     y = np.where(z < 0, np.where(v >= 0, 1, -1) * (1 - np.abs(u)), v)
-    found = np.stack([x, y, z], axis=-1)
-    found /= np.linalg.norm(found, axis=-1, keepdims=True)
+    found = unit(np.stack([x, y, z], axis=-1))
     assert np.abs(found - result.normals)[mask].max() < 7e-5
     assert result.normals[mask][:, 2].min() < -0.9
 

@@ -21,7 +21,7 @@ from pbrfit.result.relighting import turned
 from relit import fitted, shaded_ball
 from result_files import FILES
 from scene_files import known
-from under_lamps import ball_under_lamps, far_and_none, near_lamp
+from under_lamps import ball_under_lamps, near_lamp
 
 
 @pytest.fixture(scope="module")
@@ -60,12 +60,7 @@ def test_a_missing_or_other_height_is_told(result: Result, tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"lamps": Lamps(np.array([0]), np.eye(3)[2:])}, "lamps: expected known colors, found NaN"),
         ({"lamps": near_lamp((0, 0, 1))}, "lamps: expected depth for near lamps, found none"),
-        (
-            {"lamps": dataclasses.replace(far_and_none(), pictures=np.array([0, 3]))},
-            "lamps: expected indices of 3 pictures, found 3",
-        ),
         ({"height": np.zeros((2, 2))}, r"height: expected \(32, 32\), found \(2, 2\)"),
     ],
 )

@@ -17,7 +17,7 @@ from pbrfit.display.notebook import PICTURES_MAX
 from pbrfit.result.advice import next_steps
 from pbrfit.result.verdict import MARKS, Verdict, in_short
 from pbrfit.synthetic import make_scene
-from scene_files import known, write_folder
+from scene_files import known
 
 VERDICTS = {
     "albedo": Verdict("usable", 0.031),
@@ -99,8 +99,7 @@ def test_a_notebook_shows_a_scene_in_small(scene: Scene) -> None:
         assert said in page.text
 
 
-def test_a_path_is_as_good_as_a_scene(tmp_path: Path) -> None:
-    folder = write_folder(tmp_path / "scene")
+def test_a_path_is_as_good_as_a_scene(folder: Path, tmp_path: Path) -> None:
     options: dict[str, Any] = {"iterations": 1, "refine_normals": "off"}
     expected = decompose(Scene.load(folder), **options)
     for path in (folder, str(folder)):

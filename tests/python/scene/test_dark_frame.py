@@ -51,8 +51,7 @@ def test_what_all_pictures_share_goes(tmp_path: Path, form: str) -> None:
     assert scene.response is None  # values that something was subtracted from have one curve
 
 
-def test_noise_below_it_stays_negative_and_can_be_fitted(tmp_path: Path) -> None:
-    folder = write_folder(tmp_path / "scene")
+def test_noise_below_it_stays_negative_and_can_be_fitted(folder: Path) -> None:
     rng = np.random.default_rng(0)
     write_exr(folder / "dark.exr", rng.normal(0.01, 0.01, (SIZE, SIZE, 3)).astype(np.float32))
     write_exr(folder / "images" / "light_00.exr", 0.02 * room().images[0] + 0.01)
@@ -89,8 +88,7 @@ def spoil(folder: Path, how: str) -> Any:
         ("no picture", "dark.png: expected EXR, HDR"),
     ],
 )
-def test_what_is_no_dark_frame_is_refused(tmp_path: Path, how: str, message: str) -> None:
-    folder = write_folder(tmp_path / "scene")
+def test_what_is_no_dark_frame_is_refused(folder: Path, how: str, message: str) -> None:
     spoil(folder, how)
     with pytest.raises(InputError, match=message) as caught:
         Scene.load(folder)

@@ -185,16 +185,15 @@ def test_depth_of_numpy_is_read(tmp_path: Path) -> None:
 
 def test_files_with_unusable_depth_are_named(tmp_path: Path) -> None:
     folder, made = saved(tmp_path / "scene")
-    assert made.depth is not None
-    images.write_exr(folder / "depth.exr", {"Z": made.depth[:, :50]})
-    with pytest.raises(InputError, match=r"depth.exr: expected the pictures' size, 96 × 96"):
-        Scene.load(folder)
-    images.write_exr(folder / "depth.exr", {"Z": 0 * made.depth})
-    with pytest.raises(InputError, match=r"depth.exr: depth: expected distances above 0"):
-        Scene.load(folder)
-    images.write_exr(folder / "depth.exr", {"Z": 1 / made.depth})
-    with pytest.raises(InputError, match=r"scene: depth: expected distances, found inverse depth"):
-        Scene.load(folder)
+    depth = known(made.depth)
+    for stored, message in (
+        (depth[:, :50], "depth.exr: expected the pictures' size, 96 × 96"),
+        (0 * depth, "depth.exr: depth: expected distances above 0"),
+        (1 / depth, "scene: depth: expected distances, found inverse depth"),
+    ):
+        images.write_exr(folder / "depth.exr", {"Z": stored})
+        with pytest.raises(InputError, match=message):
+            Scene.load(folder)
 
 
 def test_inspect_tells_what_the_depth_is_like(tmp_path: Path) -> None:

@@ -58,7 +58,6 @@ def test_the_loss_is_that_of_inverse_square_weights() -> None:
     objective = Objective(scene, threads=1)
     exposures = known(objective.exposures)
     maps, lighting = truth_of(scene).materials, lights_of(scene)
-    assert lighting is not None
     x = objective.pack(maps.albedo, maps.roughness, maps.metallic, lighting)
     np.testing.assert_allclose(objective.unpack(x)[1], lighting, rtol=1e-12)
     loss, _ = objective.value_and_grad(x)

@@ -86,8 +86,7 @@ def test_a_folder_of_scenes_is_a_batch_and_one_of_photographs_a_scene(
     assert scenes_in(photos) == []
 
 
-def test_files_of_one_folder_have_its_parts_and_others_none(tmp_path: Path) -> None:
-    folder = write_folder(tmp_path / "scene")
+def test_files_of_one_folder_have_its_parts_and_others_none(folder: Path, tmp_path: Path) -> None:
     pictures = sorted((folder / "images").iterdir())
     scene = Scene.load(pictures[:2])
     assert scene.normals_known
@@ -132,8 +131,8 @@ def test_a_result_reads_the_named_pictures_again_as_they_were_read(tmp_path: Pat
     assert '"kept"' in done("decompose", *pictures, "--out", out, *few, "--resume", "--json")
 
 
-def test_a_crop_is_of_pictures_and_all_maps(tmp_path: Path) -> None:
-    folder, window = write_folder(tmp_path / "scene"), np.s_[2:10, 4:16]
+def test_a_crop_is_of_pictures_and_all_maps(folder: Path) -> None:
+    window = np.s_[2:10, 4:16]
     weights = 1 + np.arange(SIZE * SIZE, dtype=np.float32).reshape(SIZE, SIZE)
     images.write_exr(folder / "weights.exr", {"Y": weights})
     images.write_exr(folder / "depth.exr", {"Z": weights})
@@ -177,8 +176,7 @@ def test_a_crop_has_its_share_of_the_field_of_view(
     assert "off the optical axis" not in closer.assumed["fov"]
 
 
-def test_alpha_is_a_mask_or_ignored(tmp_path: Path) -> None:
-    folder = write_folder(tmp_path / "scene")
+def test_alpha_is_a_mask_or_ignored(folder: Path) -> None:
     for path in (folder / "images").iterdir():
         channels = images.read_channels(path)
         images.write_exr(path, channels | {"A": np.tile([0.4, 1.0], (SIZE, SIZE // 2))})
@@ -260,8 +258,7 @@ SPOILED: dict[str, tuple[Callable[[Path], Any], str]] = {
 
 
 @pytest.mark.parametrize("how", SPOILED)
-def test_what_is_no_flat_field_frame_is_refused(tmp_path: Path, how: str) -> None:
-    folder = write_folder(tmp_path / "scene")
+def test_what_is_no_flat_field_frame_is_refused(folder: Path, how: str) -> None:
     (folder / "flat").mkdir()
     for name in (*room().names, "spare"):
         write_exr(folder / "flat" / f"{name}.exr", uneven(name))

@@ -227,9 +227,7 @@ def test_pictures_as_stored(folder: Path, caplog: pytest.LogCaptureFixture) -> N
     stored = [images.read_picture(path, orientation="as-stored").pixels for path in paths]
     np.testing.assert_array_equal(kept.images, stored)
     np.testing.assert_array_equal(turned.images[1], kept.images[1, ::-1, ::-1])
-    noise, as_kept = turned.noise_floor(1), kept.noise_floor(1)
-    assert noise is not None
-    assert as_kept is not None
+    noise, as_kept = (known(one.noise_floor(1)) for one in (turned, kept))
     np.testing.assert_array_equal(noise, as_kept[::-1, ::-1])
     np.testing.assert_allclose(kept.images, room().images, atol=0.1)
     caplog.clear()
@@ -396,8 +394,8 @@ def test_weights_for_each_picture_by_name(folder: Path) -> None:
     channels = {f"{name}.Y": weights for name, weights in own.items()}
     images.write_exr(folder / "weights.exr", {**channels, "gone.Y": some_weights()})
     scene = Scene.load(folder)
-    assert scene.weights is not None
-    np.testing.assert_array_equal(scene.weights, in_all_channels([own[name] for name in names]))
+    expected = in_all_channels([own[name] for name in names]).copy()
+    np.testing.assert_array_equal(known(scene.weights), expected)
     assert scene.assumed["weights"].startswith("weights.exr, for each picture: ")
 
     weights = channels.pop(f"{names[1]}.Y")
@@ -411,7 +409,6 @@ def test_weights_for_each_picture_by_name(folder: Path) -> None:
     colors = {f"{names[1]}.{color}": i * weights for i, color in enumerate("BGR", start=1)}
     images.write_exr(folder / "weights.exr", {**channels, **colors})
     scene = Scene.load(folder)
-    expected = in_all_channels([own[name] for name in names]).copy()
     expected[1] *= [3, 2, 1]
     np.testing.assert_array_equal(known(scene.weights), expected)
     assert scene.assumed["weights"].startswith("weights.exr, for each channel of each picture: ")
@@ -636,10 +633,6 @@ def test_more_segments_than_a_file_holds_are_refused(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def cut(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[:-200])
-
-
 BAD_FOLDERS: dict[str, tuple[Any, str]] = {
     "no such folder": (shutil.rmtree, "scene: expected a scene folder, found nothing"),
     "no pictures": (
@@ -694,10 +687,6 @@ BAD_FOLDERS: dict[str, tuple[Any, str]] = {
         lambda f: images.write_exr(f / "normals.exr", {"Y": np.ones((SIZE, SIZE))}),
         "normals.exr: expected normals in channels X, Y, Z .*, found Y",
     ),
-    "an empty mask": (
-        lambda f: write_mask(f / "mask.png", np.zeros((SIZE, SIZE))),
-        "mask.png: expected at least one white pixel, found none",
-    ),
     "a mask of another size": (
         lambda f: write_mask(f / "mask.png", np.ones((3, 4))),
         "mask.png: expected the pictures' size, 16 × 16 pixels, found 4 × 3",
@@ -705,14 +694,6 @@ BAD_FOLDERS: dict[str, tuple[Any, str]] = {
     "segments of another size": (
         lambda f: write_png(f / "segments.png", np.ones((3, 4))),
         "segments.png: expected the pictures' size",
-    ),
-    "segments in colour": (
-        lambda f: write_png(f / "segments.png", room().images[0]),
-        "segments.png: expected ids in a grey",
-    ),
-    "a truncated EXR": (
-        lambda f: cut(f / "images" / "light_01.exr"),
-        "light_01.exr: expected .*, found",
     ),
     "world space without a rotation": (
         lambda f: (f / "scene.toml").write_text('normals_frame = "world"'),
@@ -739,15 +720,9 @@ def test_bad_folders_are_refused_in_one_line(folder: Path, name: str) -> None:
     ("option", "message"),
     [
         ({"fov": 180.0}, "fov: expected 0 or degrees"),
-        ({"fov": np.nan}, "fov: expected 0 or degrees"),
         ({"max_size": 0}, "max_size: expected at least 1 pixel, found 0"),
         ({"max_size": 2.5}, r"max_size: expected at least 1 pixel, found \[2.5\]"),
         ({"color_space": "log"}, "color_space: expected one of srgb"),
-        (
-            {"orientation": "upright"},
-            "orientation: expected one of exif, as-stored, found 'upright'",
-        ),
-        ({"code_range": (9, 3)}, "code_range: expected two 8-bit codes"),
     ],
 )
 def test_bad_options_are_refused(folder: Path, option: Any, message: str) -> None:
