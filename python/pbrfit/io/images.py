@@ -31,7 +31,7 @@ from pbrfit.io.file_noise import Stored, read_tables
 from pbrfit.io.input_files import PICTURE_BYTES, content_of, names_file, open_file, unexpected
 from pbrfit.io.limits import AT_LEAST, AT_MOST, ORDINARY, Limits
 from pbrfit.values.arrays import Array, Mask
-from pbrfit.values.checks import one_of
+from pbrfit.values.checks import errors_about, one_of
 from pbrfit.values.quoting import shown
 
 logger = logging.getLogger("pbrfit")
@@ -301,8 +301,7 @@ def read_channels(path: str | os.PathLike[str]) -> dict[str, NDArray[np.float32]
     """Read all channels of an EXR file as they are: (H, W) float32 by full name, ``albedo.R``.
 
     In a file with several parts the name of the part comes first; NaN is outside of a part's data
-    window. Raises InputError if this is not a sound EXR file of flat, full-resolution channels;
-    OSError if the file cannot be read.
+    window. Raises InputError if this is not a sound EXR file of flat, full-resolution channels.
     """
     path, data, kind = _load(path)
     if kind != "EXR":
@@ -484,10 +483,8 @@ def _png_color(path: Path, raster: _core.Raster, doubts: list[str]) -> tuple[Con
 
 def _stated(path: Path, curve: Curve | float, primaries: Primaries) -> Conversion:
     """Conversion from what a file states; InputError if these are no primaries."""
-    try:
+    with errors_about(path):
         return coding.from_primaries(curve, primaries)
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def _straight(samples: NDArray[Any]) -> NDArray[Any]:

@@ -194,23 +194,21 @@ def _of_csv(path: Path) -> list[LampRow]:
     named = (",".join(re.sub(r"[\W_]", "", one.casefold()) for one in of) for of in bare)
     heads = [tuple(SYNONYMS.get(n, n) for n in of.rstrip(",").split(",")) for of in named]
     header = next((head for head in heads if {"x", "y", "z"} <= set(head)), ())
-    found, hint, wide, titled = "", "", max(map(len, rows)), bool(header)
+    hint, wide, titled = "", max(map(len, rows)), bool(header)
     if not header and not any(map(re.compile(r"\d").search, rows[0])):
         header = heads[-1]  # of other columns
     if separator == "," and not any("." in cell for row in rows for cell in row[1:]):
         hint = "; numbers with decimal commas need semicolons or tabs between columns"
     if header:
         if not set(header) <= set(COLUMNS) or len(set(header)) < len(header):
-            found = listed(header)
+            raise unexpected(path, expected, listed(header))
         rows = rows[1:] if header is heads[-1] else rows
     else:
         header = {3: COLUMNS[1:4], 4: COLUMNS[:4], 7: COLUMNS[:7], 8: COLUMNS}.get(wide, ())
         # 0,6 in two cells is two whole numbers.
         split = (all(re.fullmatch(r"[-+−]?\d+", cell) for cell in row[-6:]) for row in rows)
         if not header or (hint and wide == 7 and any(split)):
-            found = f"{wide} columns without a header{hint}"
-    if found:
-        raise unexpected(path, expected, found)
+            raise unexpected(path, expected, f"{wide} columns without a header{hint}")
     for i, row in enumerate(rows):
         while len(row) > len(header) and not row[-1]:  # spreadsheets' empty columns
             row.pop()
