@@ -134,18 +134,9 @@ def rounds(
             outliers, noise = True, estimated(objective, x, outliers=True)
             if not noise.tails.has_outliers:
                 break
-    changed = nuisances is not None
-    if changed:  # with the camera as it is now, after joint steps
+    if nuisances is not None:  # with the camera as it is now, after joint steps
         sum_sq = fit_level(objective, x, fixed)
-    if noise is not None:
-        noise = estimated(objective, x, outliers=True)
-        if noise.tails.has_outliers:
-            changed, objective = True, _weighed(given, x, noise)
-            level = replace(level, objective=objective)
-            sum_sq = fit_level(objective, x, fixed)
-    if changed:
         left = left_of(level, x, sum_sq, shared, noise, prior)
-    if nuisances is not None:
         nuisances.judge(left)
     return Lights(x, left, exact, shared, watch.stopped or run.out_of_time(), noise, deviance)
 
