@@ -504,8 +504,7 @@ def _straight(samples: NDArray[Any]) -> NDArray[Any]:
 
 def _of_exr(path: Path, data: bytes, layer: str | None, asked: ColorSpace | None) -> _Decoded:
     channels, chromaticities, spaces = _core.decode_exr(data, path)
-    expected = "channels R, G, B or Y"
-    of, names = layers.chosen(path, channels, layers.PICTURE, expected, layer)
+    of, names = layers.chosen(path, channels, layers.PICTURE, "channels R, G, B or Y", layer)
     found = [channels[name] for name in names]
     prefix = f"{of}." if of else ""
     named = ", ".join(dict.fromkeys(one for one in spaces if one.lower() not in NO_SPACE))
