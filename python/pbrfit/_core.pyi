@@ -470,14 +470,14 @@ class Raster:
     @property
     def gamma(self) -> float | None: ...
     @property
-    def chromaticities(self) -> list[float] | None: ...
+    def chromaticities(self) -> list[tuple[float, float]] | None: ...
     @property
     def passed_over(self) -> int: ...
 
 def image_format(data: bytes) -> str | None: ...
 def decode_exr(
     data: bytes, path: str | PathLike[str]
-) -> tuple[dict[str, NDArray[np.float32]], list[float] | None, list[str]]: ...
+) -> tuple[dict[str, NDArray[np.float32]], list[tuple[float, float]] | None, list[str]]: ...
 def decode_raster(
     data: bytes, path: str | PathLike[str], indices: bool, page: int | None = None
 ) -> Raster: ...
@@ -497,8 +497,17 @@ def average_light(
 def write_exr(
     path: str | PathLike[str], channels: Sequence[tuple[str, NDArray[np.float32]]], half: bool
 ) -> None: ...
-def write_png(path: str | PathLike[str], image: NDArray[Any], tag: str | None) -> None: ...
-def encode_png(image: NDArray[Any], tag: str | None) -> bytes: ...
+def write_png(path: str | PathLike[str], image: NDArray[Any], tag: str | None) -> None:
+    """Write a PNG file: (H, W) or (H, W, 1 to 4), uint8 or uint16, already encoded.
+
+    The tag is what the file says about its encoding: "srgb" (sRGB chunk), "linear" (gAMA chunk of
+    1: data, or linear light) or None (nothing). Equal images give equal bytes. An existing file is
+    replaced, as a whole or not at all. Raises InputError if the shape or type of `image` is wrong.
+    """
+
+def encode_png(image: NDArray[Any], tag: str | None) -> bytes:
+    """Give the bytes that `write_png` would write."""
+
 def unfinished(
     temporary: str | PathLike[str],
     aside: tuple[str | PathLike[str], str | PathLike[str]] | None = None,

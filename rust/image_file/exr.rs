@@ -10,7 +10,7 @@ use ::exr::block::lines::LineRef;
 use ::exr::block::reader::Reader;
 use ::exr::compression::Compression;
 use ::exr::meta::BlockDescription;
-use ::exr::meta::attribute::{AttributeValue, Chromaticities, IntegerBounds, SampleType, Text};
+use ::exr::meta::attribute::{Chromaticities, IntegerBounds, SampleType, Text};
 use ::exr::meta::header::Header;
 use ::exr::prelude::{
     AnyChannel, AnyChannels, Encoding, FlatSamples, Image, SmallVec, Vec2, WritableImage, f16,
@@ -36,7 +36,7 @@ const DWA_SAMPLES: u64 = 64 * 1032 / 4;
 
 /// Primaries and white point of Rec.709 with D65, as every written file states
 /// them: xy of red, green, blue, white.
-const REC709: [f32; 8] = [0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290];
+const REC709: [(f32, f32); 4] = [(0.64, 0.33), (0.30, 0.60), (0.15, 0.06), (0.3127, 0.3290)];
 
 /// One channel of an EXR file.
 #[derive(Clone, Debug, PartialEq)]
@@ -57,7 +57,7 @@ pub struct Exr {
     /// All channels of all parts, in the order of the file.
     pub channels: Vec<ExrChannel>,
     /// The attribute of that name: xy of red, green, blue, white.
-    pub chromaticities: Option<[f32; 8]>,
+    pub chromaticities: Option<[(f32, f32); 4]>,
     /// Names of colour spaces that parts state, as of [`COLOR_SPACE`].
     pub color_spaces: Vec<String>,
 }
@@ -100,12 +100,8 @@ fn decode(bytes: &[u8], path: &Path) -> Result<Exr> {
     let mut planes: Vec<_> = headers
         .iter()
         .map(|header| {
-            let data = IntegerBounds::new(header.own_attributes.layer_position, header.layer_size);
-            let untold = if data.contains(display) {
-                0.0
-            } else {
-                f32::NAN
-            };
+            let whole = header.data_window().contains(display);
+            let untold = if whole { 0.0 } else { f32::NAN };
             // Made one by one: the system gives zeroed memory when it is first written to, where
             // copies of a zeroed plane would be written at once.
             let planes = header.channels.list.iter();
@@ -146,33 +142,21 @@ fn decode(bytes: &[u8], path: &Path) -> Result<Exr> {
         for line in block.lines(&header.channels) {
             let channel = line.location.channel;
             let plane = &mut planes[index.layer][channel];
-            place(
-                &line,
-                header.channels.list[channel].sample_type,
-                shift,
-                plane,
-                width,
-            );
+            let kind = header.channels.list[channel].sample_type;
+            place(&line, kind, shift, plane, width);
         }
     }
 
     let chromaticities = headers
         .iter()
         .find_map(|header| header.shared_attributes.chromaticities)
-        .map(|c| {
-            [c.red, c.green, c.blue, c.white]
-                .map(|point| [point.x(), point.y()])
-                .concat()
-        })
-        .and_then(|values| values.try_into().ok());
+        .map(|c| [c.red, c.green, c.blue, c.white].map(|Vec2(x, y)| (x, y)));
     let named = |header: &Header| {
-        let attributes = &header.own_attributes.other;
-        COLOR_SPACE
-            .iter()
-            .find_map(|name| match attributes.get(name.as_bytes()) {
-                Some(AttributeValue::Text(text)) => Some(text.to_string()),
-                _ => None,
-            })
+        let text = |name: &str| {
+            let value = header.own_attributes.other.get(name.as_bytes())?;
+            Some(value.to_text().ok()?.to_string())
+        };
+        COLOR_SPACE.into_iter().find_map(text)
     };
     let channels = names
         .into_iter()
@@ -193,21 +177,12 @@ fn full_names(headers: &[Header], path: &Path) -> Result<Vec<String>> {
     let mut names = Vec::new();
     let mut seen = HashSet::new();
     for header in headers {
-        let part = header
-            .own_attributes
-            .layer_name
-            .as_ref()
-            .map(Text::to_string);
-        let prefix = part.filter(|part| headers.len() > 1 && !part.is_empty());
-        let prefix = prefix.map(|part| part + ".").unwrap_or_default();
+        let part = header.own_attributes.layer_name.as_ref();
+        let part = part.filter(|part| headers.len() > 1 && !part.as_slice().is_empty());
+        let prefix = part.map(|part| format!("{part}.")).unwrap_or_default();
         for channel in &header.channels.list {
             let own = channel.name.to_string();
-            let start = if own.starts_with(&prefix) {
-                ""
-            } else {
-                &prefix
-            };
-            let name = format!("{start}{own}");
+            let name = prefix.clone() + own.strip_prefix(&prefix).unwrap_or(&own);
             if !seen.insert(name.clone()) {
                 let reason = format!("expected distinct channels, found {name} twice");
                 return Err(content(path, reason));
@@ -388,26 +363,23 @@ pub fn write_exr(
         Encoding::SMALL_LOSSLESS, // ZIP, 16 scan lines a block, top to bottom
         AnyChannels::sort(list),
     );
-    let [rx, ry, gx, gy, bx, by, wx, wy] = REC709;
+    let [red, green, blue, white] = REC709.map(|(x, y)| Vec2(x, y));
     image.attributes.chromaticities = Some(Chromaticities {
-        red: Vec2(rx, ry),
-        green: Vec2(gx, gy),
-        blue: Vec2(bx, by),
-        white: Vec2(wx, wy),
+        red,
+        green,
+        blue,
+        white,
     });
     let mut bytes = Cursor::new(Vec::new());
     image
         .write()
         .to_buffered(&mut bytes)
         .map_err(|error| match error {
-            ::exr::error::Error::Io(source) => Error::Io {
-                path: path.to_owned(),
-                source,
-            },
-            error => content(
-                path,
-                format!("expected channels that EXR can hold, found: {error}"),
-            ),
+            ::exr::error::Error::Io(source) => Error::io(path, source),
+            error => {
+                let reason = format!("expected channels that EXR can hold, found: {error}");
+                content(path, reason)
+            }
         })?;
     write_atomically(path, bytes.get_ref())
 }

@@ -27,18 +27,14 @@ pub fn decode_icc(profile: &[u8], levels: usize, path: &Path) -> Result<IccProfi
     guarded(path, || {
         let advice = "convert the picture to sRGB or give its colour space";
         let refused = |found: String| {
-            content(
-                path,
-                format!("expected a usable ICC profile, found {found}: {advice}"),
-            )
+            let reason = format!("expected a usable ICC profile, found {found}: {advice}");
+            content(path, reason)
         };
         let profile = ColorProfile::new_from_slice(profile)
             .map_err(|error| refused(format!("a damaged one ({error})")))?;
         if profile.pcs != DataColorSpace::Xyz {
-            return Err(refused(format!(
-                "one that connects through {:?}",
-                profile.pcs
-            )));
+            let found = format!("one that connects through {:?}", profile.pcs);
+            return Err(refused(found));
         }
         let curve = |curve: &Option<ToneReprCurve>| {
             let last = levels.max(2) - 1;
@@ -49,14 +45,10 @@ pub fn decode_icc(profile: &[u8], levels: usize, path: &Path) -> Result<IccProfi
         };
         let (curves, to_xyz) = match profile.color_space {
             DataColorSpace::Gray => (vec![curve(&profile.gray_trc)], None),
-            DataColorSpace::Rgb if profile.is_matrix_shaper() => (
-                vec![
-                    curve(&profile.red_trc),
-                    curve(&profile.green_trc),
-                    curve(&profile.blue_trc),
-                ],
-                Some(profile.colorant_matrix().v),
-            ),
+            DataColorSpace::Rgb if profile.is_matrix_shaper() => {
+                let curves = [&profile.red_trc, &profile.green_trc, &profile.blue_trc];
+                (curves.map(curve).into(), Some(profile.colorant_matrix().v))
+            }
             DataColorSpace::Rgb => return Err(refused("one made of lookup tables only".into())),
             other => return Err(refused(format!("one for {other:?} pictures"))),
         };

@@ -223,10 +223,7 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
     };
     let written = write().map_err(|source| {
         let _ = fs::remove_file(&temporary); // the first error is the one to report
-        Error::Io {
-            path: path.to_owned(),
-            source,
-        }
+        Error::io(path, source)
     });
     ending::finished(noted);
     written

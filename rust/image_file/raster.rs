@@ -81,7 +81,7 @@ pub struct Raster {
     /// Of a PNG without an sRGB chunk: what its gAMA chunk says.
     pub gamma: Option<f32>,
     /// Of a PNG without an sRGB chunk: xy of red, green, blue, white in its cHRM chunk.
-    pub chromaticities: Option<[f32; 8]>,
+    pub chromaticities: Option<[(f32, f32); 4]>,
     /// Smaller pages of a TIFF, which are not read.
     pub passed_over: usize,
 }
@@ -192,8 +192,7 @@ fn decode_png(bytes: &[u8], path: &Path, indices: bool) -> Result<Raster> {
             .map(|gamma| gamma.into_value()),
         chromaticities: info.chrm_chunk.filter(|_| untold).map(|chrm| {
             let points = [chrm.red, chrm.green, chrm.blue, chrm.white];
-            let points = points.map(|(x, y)| [x.into_value(), y.into_value()]);
-            std::array::from_fn(|i| points[i / 2][i % 2])
+            points.map(|(x, y)| (x.into_value(), y.into_value()))
         }),
         ..Raster::plain(Format::Png, shape, samples)
     })
@@ -406,10 +405,7 @@ struct Page {
 /// [`Error::Content`] if they differ in size or bits, or the file has no page; [`Error::Io`] if
 /// it cannot be read.
 pub fn count_tiff_pages(path: &Path) -> Result<usize> {
-    let file = File::open(path).map_err(|source| Error::Io {
-        path: path.to_owned(),
-        source,
-    })?;
+    let file = File::open(path).map_err(|source| Error::io(path, source))?;
     guarded(path, || {
         let decoder = TiffDecoder::new(BufReader::new(file));
         let mut decoder = decoder.map_err(|error| broken(path, Format::Tiff, error))?;

@@ -10,7 +10,6 @@ use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::{PyBytes, PyDict};
 
-use super::InputError;
 use super::arrays::{ANY, Contiguous, array, copied, given, shape};
 use crate::image_file::{self, ExrChannel, Format, PngTag, Samples, Stored};
 use crate::runtime::{Error, Result};
@@ -25,7 +24,7 @@ pub(super) struct Raster {
     orientation: u8,
     code_points: Option<[u8; 2]>,
     gamma: Option<f32>,
-    chromaticities: Option<[f32; 8]>,
+    chromaticities: Option<[(f32, f32); 4]>,
     passed_over: usize,
 }
 
@@ -36,7 +35,7 @@ pub(super) fn image_format(data: PyBackedBytes) -> Option<&'static str> {
 }
 
 /// Channels by name, chromaticities, and names of colour spaces.
-type Exr<'py> = (Bound<'py, PyDict>, Option<[f32; 8]>, Vec<String>);
+type Exr<'py> = (Bound<'py, PyDict>, Option<[(f32, f32); 4]>, Vec<String>);
 
 /// Channels by name, (H, W) float32 each, and what attributes say of their colour.
 #[pyfunction]
@@ -129,22 +128,21 @@ pub(super) fn average_light<'py>(
     let to = (pixels, limits);
     match samples.getattr("dtype")?.getattr("itemsize")?.extract()? {
         1 => {
-            let data = codes.map(|codes| codes.map(|code| code as u8));
-            let light = |c| {
-                let curve = curve(c);
-                move |code: u8| curve[usize::from(code)]
-            };
-            average(samples, used, light, (data, &colors), to)
+            let codes = codes.map(|codes| codes.map(|code| code as u8));
+            let light = |c| value::<u8>(curve(c));
+            average(samples, used, light, (codes, &colors), to)
         }
         2 => {
-            let light = |c| {
-                let curve = curve(c);
-                move |code: u16| curve[usize::from(code)]
-            };
+            let light = |c| value::<u16>(curve(c));
             average(samples, used, light, (codes, &colors), to)
         }
         _ => average(samples, used, |_| |light: f32| light, (None, &colors), to),
     }
+}
+
+/// A sampled curve at codes.
+fn value<T: Into<usize>>(curve: &[f32]) -> impl Fn(T) -> f32 {
+    |code| curve[code.into()]
 }
 
 fn average<'py, T: Element + Copy + PartialOrd + Sync, V: Fn(T) -> f32>(
@@ -226,16 +224,15 @@ fn png(py: Python<'_>, image: &Bound<'_, PyAny>, tag: Option<&str>) -> PyResult<
     } else {
         let kind = image.getattr("dtype");
         let kind = kind.unwrap_or_else(|_| image.get_type().into_any());
-        let reason = format!("image: expected uint8 or uint16, found {kind}");
-        return Err(InputError::new_err(reason));
+        return Err(Error::argument("image", "uint8 or uint16", kind).into());
     };
     let shape: Vec<usize> = image.getattr("shape")?.extract()?;
     let shape = match shape[..] {
         [height, width] => [height, width, 1],
         [height, width, channels] => [height, width, channels],
         _ => {
-            let reason = format!("image: expected (H, W) or (H, W, C), found {shape:?}");
-            return Err(InputError::new_err(reason));
+            let found = format!("{shape:?}");
+            return Err(Error::argument("image", "(H, W) or (H, W, C)", found).into());
         }
     };
     let tag = match tag {
@@ -243,8 +240,8 @@ fn png(py: Python<'_>, image: &Bound<'_, PyAny>, tag: Option<&str>) -> PyResult<
         Some("linear") => PngTag::Linear,
         None => PngTag::Untagged,
         Some(other) => {
-            let reason = format!("tag: expected srgb, linear or None, found {other:?}");
-            return Err(InputError::new_err(reason));
+            let found = format!("{other:?}");
+            return Err(Error::argument("tag", "srgb, linear or None", found).into());
         }
     };
     Ok(py.detach(|| image_file::encode_png(&samples, shape, tag))?)

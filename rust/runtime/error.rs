@@ -1,6 +1,6 @@
 //! The one error type of the crate.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// What can go wrong. Every message is one line that names the array or the
 /// file, what was expected and what was found. A panic, by contrast, is a bug.
@@ -45,6 +45,12 @@ impl Error {
             expected: expected.to_string(),
             found: found.to_string(),
         }
+    }
+
+    /// An [`Error::Io`] about a file.
+    pub fn io(path: &Path, source: std::io::Error) -> Self {
+        let path = path.to_owned();
+        Self::Io { path, source }
     }
 }
 

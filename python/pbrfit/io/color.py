@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pbrfit._core import average_light
+from pbrfit._core import InputError, average_light
 from pbrfit.io.limits import Limits, converted
 from pbrfit.values.arrays import Array, Floats
 from pbrfit.values.checks import one_of
@@ -101,20 +101,20 @@ def rgb_to_xyz(primaries: Primaries) -> Array:
     """Matrix (3, 3) from linear RGB to CIE XYZ, white with Y = 1.
 
     The columns are the primaries, (x, y, 1-x-y), scaled so that they add up to the white point.
-    Raises ValueError if the y of white is not above 0, or three of the four lie on one line.
+    Raises InputError if the y of white is not above 0, or three of the four lie on one line.
     """
     points = np.array(primaries)
     x, y = points.T
     found = points.tolist()
     if not np.isfinite(points).all() or y[3] < 1e-6:
-        raise ValueError(f"chromaticities: expected finite xy, of white y > 0, found {found}")
+        raise InputError(f"chromaticities: expected finite xy, of white y > 0, found {found}")
     xyz = np.stack([x, y, 1 - x - y])
     columns, white = xyz[:, :3], xyz[:, 3] / y[3]
     if np.linalg.cond(columns) <= 1e6:
         scaled = np.asarray(columns * np.linalg.solve(columns, white))
         if np.linalg.cond(scaled) <= 1e6:
             return scaled
-    raise ValueError(f"chromaticities: expected a triangle around white, found {found}")
+    raise InputError(f"chromaticities: expected a triangle around white, found {found}")
 
 
 def to_rec709(primaries: Primaries) -> Array:
@@ -246,7 +246,7 @@ def conversion(space: ColorSpace) -> Conversion:
 
 
 def from_primaries(curve: Curve | float, primaries: Primaries) -> Conversion:
-    """Conversion from a curve and primaries; ValueError as `rgb_to_xyz`."""
+    """Conversion from a curve and primaries; InputError as `rgb_to_xyz`."""
     return Conversion(curve, None if near_rec709(primaries) else to_rec709(primaries))
 
 

@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pbrfit._core import InputError
 from pbrfit.io import layers
 from pbrfit.io.images import read_stored
-from pbrfit.io.input_files import there
+from pbrfit.io.input_files import there, unexpected
 from pbrfit.values.arrays import Array
 from pbrfit.values.checks import finite
 from pbrfit.values.quoting import listed, shown
@@ -24,8 +23,7 @@ def find_depth(folder: Path) -> Path | None:
     """The file with depth that a scene folder has; InputError if it has several."""
     found = [path for name in DEPTH_FILES if there(path := folder / name)]
     if len(found) > 1:
-        names = listed(path.name for path in found)
-        raise InputError(f"{folder}: expected one file with depth, found {names}")
+        raise unexpected(folder, "one file with depth", listed(path.name for path in found))
     return found[0] if found else None
 
 
@@ -52,12 +50,12 @@ def read_depth(path: Path, unit: float = 1.0, *, own: bool = False) -> tuple[Arr
         grey = np.broadcast_to(stored[..., :1], stored[..., :3].shape)
         if stored.shape[-1] > 2 and not np.array_equal(stored[..., :3], grey, equal_nan=True):
             found = "colours or vectors, which cannot be read back"
-            raise InputError(f"{path}: expected depth in one channel, found {found}")
+            raise unexpected(path, "depth in one channel", found)
         stored = stored[..., 0]
     if stored.ndim != 2:
-        raise InputError(f"{path}: expected depth (H, W), found shape {stored.shape}")
+        raise unexpected(path, "depth (H, W)", f"shape {stored.shape}")
     if own and stored.dtype == np.uint8:
-        raise InputError(f"{path}: expected depth of 16 bits, found 8: a picture to look at")
+        raise unexpected(path, "depth of 16 bits", "8: a picture to look at")
     if own and unit != 1 and np.fmod(stored[np.isfinite(stored)], 1).any():
-        raise InputError(f"{path}: expected whole numbers beside a unit, found fractions")
+        raise unexpected(path, "whole numbers beside a unit", "fractions")
     return np.multiply(stored, unit, dtype=np.float64), said

@@ -13,7 +13,7 @@ import logging
 import operator
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -28,10 +28,10 @@ from pbrfit.io import color as coding
 from pbrfit.io import exif, layers, radiance, raw_files
 from pbrfit.io.color import ColorSpace, Conversion, Curve, Place, Primaries
 from pbrfit.io.file_noise import Stored, read_tables
-from pbrfit.io.input_files import PICTURE_BYTES, content_of, names_file, open_file, read_bytes
+from pbrfit.io.input_files import PICTURE_BYTES, content_of, names_file, open_file, unexpected
 from pbrfit.io.limits import AT_LEAST, AT_MOST, ORDINARY, Limits
 from pbrfit.values.arrays import Array, Mask
-from pbrfit.values.checks import one_of
+from pbrfit.values.checks import errors_about, one_of
 from pbrfit.values.quoting import shown
 
 logger = logging.getLogger("pbrfit")
@@ -163,10 +163,9 @@ def read_picture(
     page = int(path.stem.rpartition("_")[2]) - 1 if file != path else None
     _, data, form = _load(file, raw=True)
     if layer is not None and form != "EXR":
-        raise InputError(f"{path}: expected an EXR file with layer {shown(layer)}, found {form}")
+        raise unexpected(path, f"an EXR file with layer {shown(layer)}", form)
     if form == RAW and color_space not in (None, "linear"):
-        expected = "expected colour space linear for a raw file"
-        raise InputError(f"{path}: {expected}, found {color_space}")
+        raise unexpected(path, "colour space linear for a raw file", color_space)
     chosen = None if color_space is None or form == RAW else coding.conversion(color_space)
     if form == "EXR":
         found = _of_exr(path, data, layer, color_space)
@@ -254,8 +253,7 @@ def pages(path: Path) -> list[Path]:
     if kind != "TIFF" or raw_files.is_raw(path, head, kind) or (n := _core.tiff_pages(path)) == 1:
         return [path]
     if _OF_CHANNELS.search(head):
-        found = "one for each channel: save it as RGB"
-        raise InputError(f"{path}: expected pages that are pictures, found {found}")
+        raise unexpected(path, "pages that are pictures", "one for each channel: save it as RGB")
     return [path / f"{path.stem}_{i + 1:0{len(str(n))}}{path.suffix}" for i in range(n)]
 
 
@@ -288,13 +286,13 @@ def read_ids(path: str | os.PathLike[str]) -> NDArray[np.uint16]:
     Raises InputError unless it is a grey PNG or TIFF of 8 or 16 bits, or a palette PNG (indices).
     """
     path, data, kind = _load(path)
-    expected = "expected ids in a grey 8 or 16-bit PNG or TIFF"
+    expected = "ids in a grey 8 or 16-bit PNG or TIFF"
     if kind not in ("PNG", "TIFF"):
-        raise InputError(f"{path}: {expected}, found {kind}")
+        raise unexpected(path, expected, kind)
     raster = _core.decode_raster(data, path, indices=True)
     samples = exif.turned(raster.samples, raster.orientation)
     if samples.shape[2] != 1 or samples.dtype.kind != "u":
-        raise InputError(f"{path}: {expected}, found {samples.shape[2]} channels {samples.dtype}")
+        raise unexpected(path, expected, f"{samples.shape[2]} channels {samples.dtype}")
     return np.ascontiguousarray(samples[..., 0], dtype=np.uint16)
 
 
@@ -303,12 +301,11 @@ def read_channels(path: str | os.PathLike[str]) -> dict[str, NDArray[np.float32]
     """Read all channels of an EXR file as they are: (H, W) float32 by full name, ``albedo.R``.
 
     In a file with several parts the name of the part comes first; NaN is outside of a part's data
-    window. Raises InputError if this is not a sound EXR file of flat, full-resolution channels;
-    OSError if the file cannot be read.
+    window. Raises InputError if this is not a sound EXR file of flat, full-resolution channels.
     """
     path, data, kind = _load(path)
     if kind != "EXR":
-        raise InputError(f"{path}: expected an EXR file, found {kind}")
+        raise unexpected(path, "an EXR file", kind)
     return _core.decode_exr(data, path)[0]
 
 
@@ -319,24 +316,26 @@ def read_stored(path: Path) -> NDArray[Any] | dict[str, NDArray[np.float32]]:
     Returns the channels of an EXR file as `read_channels`; of another picture (H, W, C) in the type
     that the file has; of .npy the array, float64. Raises InputError if the content cannot be used.
     """
+    content = None
     with open_file(path) as file:
         of_numpy = file.read(len(npy.MAGIC_PREFIX)) == npy.MAGIC_PREFIX
-    if not of_numpy and path.suffix.lower() != ".npy":
+        if of_numpy or path.suffix.lower() == ".npy":
+            # Read, not mapped: a mapped file that shrinks would end the process.
+            content = content_of(file, path, PICTURE_BYTES)
+    if content is None:
         path, data, kind = _load(path)
         if kind == "EXR":
             return _core.decode_exr(data, path)[0]
         raster, header = _raster(path, data)
         turn = raster.orientation if header is None else header.orientation
         return exif.turned(raster.samples, turn)
-    content = read_bytes(path, PICTURE_BYTES)  # a mapped file that shrinks would end the process
     try:
         with exif.without_warnings():  # about headers of long ago
             array = np.load(io.BytesIO(content), allow_pickle=False)
         if array.dtype.kind not in "uif" or not array.size:
             raise ValueError(f"{array.dtype} of shape {array.shape}")
     except Exception as error:  # headers are Python expressions, and fail in all ways of these
-        expected = "expected an array of real numbers in .npy"
-        raise InputError(f"{path}: {expected}, found {shown(error)}") from None
+        raise unexpected(path, "an array of real numbers in .npy", shown(error)) from None
     with np.errstate(all="ignore"):  # of more than 64 bits; infinity is no normal, and no depth
         return np.asarray(array, np.float64)
 
@@ -355,11 +354,6 @@ def write_exr(
 
 
 write_png, encode_png = _core.write_png, _core.encode_png
-"""Write a PNG file, or give its bytes: (H, W) or (H, W, 1 to 4), uint8 or uint16, already encoded.
-
-The tag is what the file says about its encoding: "srgb" (sRGB chunk), "linear" (gAMA chunk of 1:
-data, or linear light) or None (nothing). Equal images give equal bytes. An existing file is
-replaced, as a whole or not at all. Raises InputError if the shape or type of `image` is another."""
 
 
 def checked_codes(code_range: Any) -> tuple[int, int]:
@@ -368,8 +362,7 @@ def checked_codes(code_range: Any) -> tuple[int, int]:
     with contextlib.suppress(TypeError, ValueError):
         low, high = map(operator.index, code_range)
     if not 0 <= low < high <= 255:
-        expected = "expected two 8-bit codes, 0 ≤ low < high ≤ 255"
-        raise InputError(f"code_range: {expected}, found {code_range}")
+        raise unexpected("code_range", "two 8-bit codes, 0 ≤ low < high ≤ 255", code_range)
     return low, high
 
 
@@ -384,12 +377,12 @@ def _load(path: str | os.PathLike[str], *, raw: bool = False) -> tuple[Path, byt
             kind = RAW if raw else None
         if kind is None:
             if not head:
-                raise InputError(f"{path}: expected a picture, found an empty file")
+                raise unexpected(path, "a picture", "an empty file")
             kinds = (of for start, of in _OTHERS.items() if re.match(start, head, re.DOTALL))
             found = next((of.format(path) for of in kinds), f"a file that starts with {head[:8]!r}")
             if is_raw:
                 found = f"a raw file: {raw_files.how_to_develop(path)}"
-            raise InputError(f"{path}: expected EXR, HDR, PNG, JPEG or TIFF, found {found}")
+            raise unexpected(path, "EXR, HDR, PNG, JPEG or TIFF", found)
         data = content_of(file, path, PICTURE_BYTES)
     return path, data, kind
 
@@ -458,8 +451,7 @@ def _integer_color(
         curves, to_xyz = _core.decode_icc(raster.icc_profile, 1 << bits, path)
         if to_xyz is None and raster.samples.shape[2] >= 3:
             remedy = "convert the picture to sRGB or give its colour space"
-            expected = "expected an ICC profile for RGB"
-            raise InputError(f"{path}: {expected}, found one for grey: {remedy}")
+            raise unexpected(path, "an ICC profile for RGB", f"one for grey: {remedy}")
         return coding.from_icc(curves, to_xyz), f"ICC profile of the {form}", True
     convert, chunks = _png_color(path, raster, doubts)
     if convert.curve != "srgb" or convert.matrix is not None:
@@ -480,7 +472,8 @@ def _png_color(path: Path, raster: _core.Raster, doubts: list[str]) -> tuple[Con
         chunk = f"cICP chunk (primaries {coded}, transfer {transfer})"
         doubts.append(f"{path}: read as sRGB; its {chunk} is ignored")
         return Conversion("srgb"), ""
-    primaries = _primaries(raster.chromaticities)
+    told = raster.chromaticities
+    primaries = coding.REC709 if told is None else Primaries(*told)
     plain = coding.near_rec709(primaries)
     # 0.45455 beside the primaries of Rec.709 is what encoders write to mean sRGB.
     usual = plain and abs((raster.gamma or 0.45455) - 0.45455) <= 0.01
@@ -488,17 +481,10 @@ def _png_color(path: Path, raster: _core.Raster, doubts: list[str]) -> tuple[Con
     return _stated(path, curve, primaries), "gAMA chunk" if plain else "gAMA and cHRM chunks"
 
 
-def _primaries(x_y: Sequence[float] | None) -> Primaries:
-    """Of what a file states; Rec.709 where it states none."""
-    return coding.REC709 if x_y is None else Primaries(*zip(x_y[::2], x_y[1::2], strict=True))
-
-
 def _stated(path: Path, curve: Curve | float, primaries: Primaries) -> Conversion:
     """Conversion from what a file states; InputError if these are no primaries."""
-    try:
+    with errors_about(path):
         return coding.from_primaries(curve, primaries)
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def _straight(samples: NDArray[Any]) -> NDArray[Any]:
@@ -518,20 +504,27 @@ def _straight(samples: NDArray[Any]) -> NDArray[Any]:
 
 def _of_exr(path: Path, data: bytes, layer: str | None, asked: ColorSpace | None) -> _Decoded:
     channels, chromaticities, spaces = _core.decode_exr(data, path)
-    if chromaticities is not None and not any(chromaticities):
-        chromaticities = None  # eight zeros are in files that know none
-    expected = "channels R, G, B or Y"
-    of, names = layers.chosen(path, channels, layers.PICTURE, expected, layer)
+    of, names = layers.chosen(path, channels, layers.PICTURE, "channels R, G, B or Y", layer)
     found = [channels[name] for name in names]
     prefix = f"{of}." if of else ""
     named = ", ".join(dict.fromkeys(one for one in spaces if one.lower() not in NO_SPACE))
-    wanted = coding.of_name(asked) if asked else None
-    space = coding.of_name(named) or wanted
-    if named and (space is None or wanted not in (None, space)):
-        known = "a known colour space, as lin_ap1_scene, unless one is asked for"
-        expected = f"colour space {asked}, as asked for" if asked else known
-        raise InputError(f"{path}: expected {expected}, found {shown(named)}")
-    curve, primaries = (named and space) or ("linear", _primaries(chromaticities))
+    if named:
+        wanted = coding.of_name(asked or named)
+        if wanted is None or (coding.of_name(named) or wanted) != wanted:
+            known = "a known colour space, as lin_ap1_scene, unless one is asked for"
+            expected = f"colour space {asked}, as asked for" if asked else known
+            raise unexpected(path, expected, shown(named))
+        (curve, primaries), color = wanted, f"{shown(named)} (named by the EXR)"
+    elif chromaticities is None or not np.any(chromaticities):  # zeros: of who knows none
+        curve, primaries = "linear", coding.REC709
+        color = "linear Rec.709 (EXR without chromaticities)"
+    else:
+        curve, primaries = "linear", Primaries(*chromaticities)
+        color = "linear, converted from the EXR's chromaticities"
+        if coding.near_rec709(primaries):
+            color = "linear Rec.709 (chromaticities of the EXR)"
+        elif len(found) < 3:
+            color = "linear grey (EXR)"
     convert = _stated(path, curve, primaries) if len(found) > 2 else Conversion(curve)
     if len(found) > 2 and names[1].upper() == f"{prefix}RY".upper():
         # OpenEXR: RY = (R - Y) / Y, BY = (B - Y) / Y, and Y a weighted sum of R, G and B.
@@ -544,18 +537,7 @@ def _of_exr(path: Path, data: bytes, layer: str | None, asked: ColorSpace | None
     if channels.keys() >= set(of_limits):
         stored = [np.nan_to_num(channels[name]) for name in of_limits]
         if not np.isin(stored, (ORDINARY, AT_LEAST, AT_MOST)).all():
-            expected = f"0, 1 or 2 in channels {prefix}{LIMITS}"
-            raise InputError(f"{path}: expected {expected}, found others")
+            raise unexpected(path, f"0, 1 or 2 in channels {prefix}{LIMITS}", "others")
         limits = np.stack(stored, axis=-1).astype(np.uint8)
-    if named:
-        color = f"{shown(named)} (named by the EXR)"
-    elif chromaticities is None:
-        color = "linear Rec.709 (EXR without chromaticities)"
-    elif coding.near_rec709(primaries):
-        color = "linear Rec.709 (chromaticities of the EXR)"
-    elif len(found) < 3:
-        color = "linear grey (EXR)"
-    else:
-        color = "linear, converted from the EXR's chromaticities"
     color = f"layer {shown(of)}, {color}" if of else color
     return _Decoded(np.stack(found, axis=-1), convert, color, premultiplied=True, limits=limits)

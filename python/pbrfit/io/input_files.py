@@ -43,6 +43,11 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
+def unexpected(place: object, expected: str, found: object) -> InputError:
+    """An error about a file, a folder or a part of one."""
+    return InputError(f"{place}: expected {expected}, found {found}")
+
+
 def there(path: Path) -> bool:
     """Whether something has this name, if only a link to nowhere; OSError if nobody may look."""
     try:
@@ -64,7 +69,7 @@ def open_file(path: Path) -> BufferedReader:
     except FileNotFoundError:
         if path.is_symlink():
             found = f"a link to {path.readlink()}, where nothing is"
-            raise InputError(f"{path}: expected a file, found {found}") from None
+            raise unexpected(path, "a file", found) from None
         raise
     file = os.fdopen(os.open(path, os.O_RDONLY | _AT_ONCE), "rb")
     try:
@@ -117,8 +122,7 @@ def read_text(path: Path, most: int, other: str = "utf-8") -> str:
     except UnicodeDecodeError as error:
         if encoding != "utf-8" or other == "utf-8":
             line = data[: error.start].count(b"\n") + 1
-            expected = f"{path}: expected {encoding.upper()}"
-            raise InputError(f"{expected}, found another byte in line {line}") from None
+            raise unexpected(path, encoding.upper(), f"another byte in line {line}") from None
         text = data.decode(other, "replace")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
@@ -134,10 +138,10 @@ def _bounded(file: BufferedReader, path: Path, most: int) -> int:
     """Size of an open file, in bytes."""
     size = os.fstat(file.fileno()).st_size
     if size > most:
-        raise InputError(f"{path}: expected a file of at most {most:,} bytes, found {size:,}")
+        raise unexpected(path, f"a file of at most {most:,} bytes", f"{size:,}")
     return size
 
 
 def _check_regular(path: Path, status: os.stat_result) -> None:
     if not stat.S_ISREG(status.st_mode):
-        raise InputError(f"{path}: expected a regular file, found {kind_of(status)}")
+        raise unexpected(path, "a regular file", kind_of(status))

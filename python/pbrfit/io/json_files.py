@@ -19,7 +19,7 @@ from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from pbrfit._core import InputError
-from pbrfit.io.input_files import TEXT_BYTES, read_text
+from pbrfit.io.input_files import TEXT_BYTES, read_text, unexpected
 from pbrfit.values.quoting import listed, quoted, shown
 
 UNFIT = (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError)
@@ -46,13 +46,12 @@ def toml_of(path: Path | str, content: str) -> dict[str, Any]:
     """Content of TOML; InputError if it is none, or deep or large beyond reason."""
     for i, line in enumerate(content.split("\n"), 1):
         if (dots := len(re.findall(r"(?<!\.)\.(?!\.)", line))) > TOML_DOTS_MAX:
-            where = f"{dots} in line {i}"
-            raise InputError(f"{path}: expected at most {TOML_DOTS_MAX} dots a line, found {where}")
+            raise unexpected(path, f"at most {TOML_DOTS_MAX} dots a line", f"{dots} in line {i}")
     try:
         found = tomllib.loads(content)
         _check_whole(found)
     except (ValueError, RecursionError) as error:  # numbers beyond reason raise a plain ValueError
-        raise InputError(f"{path}: expected TOML, found {shown(error)}") from None
+        raise unexpected(path, "TOML", shown(error)) from None
     return found
 
 
@@ -67,7 +66,7 @@ def _check_whole(value: Any) -> None:
 
 def unfit(path: Path | str, expected: str, error: Exception) -> InputError:
     """Say that a file does not hold what was expected; `error` is one of `UNFIT`."""
-    return InputError(f"{path}: expected {expected}, found {type(error).__name__}: {shown(error)}")
+    return unexpected(path, expected, f"{type(error).__name__}: {shown(error)}")
 
 
 @contextmanager

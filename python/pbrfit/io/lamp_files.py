@@ -17,8 +17,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from pbrfit._core import InputError
-from pbrfit.io.input_files import LIST_BYTES, read_text
+from pbrfit.io.input_files import LIST_BYTES, read_text, unexpected
 from pbrfit.io.json_files import expecting, number, read_json, table, text, unfit, write_json
 from pbrfit.values.quoting import listed, quoted, shown
 
@@ -98,7 +97,7 @@ def find_lamps(folder: Path) -> list[Path]:
     ]
     if len(found) > 1:
         every = listed(path.relative_to(folder).as_posix() for path in found)
-        raise InputError(f"{folder}: expected one file with lamps, found {every}")
+        raise unexpected(folder, "one file with lamps", every)
     return [*found, *(beside for path in found for beside in _names(path))]
 
 
@@ -117,18 +116,18 @@ def read_lamps(path: Path) -> tuple[list[LampRow], str]:
     readers |= dict.fromkeys((".json", ".relight"), _of_json)
     read = readers.get(path.suffix.lower())
     if read is None:
-        raise InputError(f"{path}: expected lamps in {', '.join(readers)}, found another form")
+        raise unexpected(path, f"lamps in {', '.join(readers)}", "another form")
     try:
         rows = read(path)
     except csv.Error as error:
         raise unfit(path, "lamps", error) from None
     if not rows:
-        raise InputError(f"{path}: expected lamps, found none")
+        raise unexpected(path, "lamps", "none")
     far = [row.place for row in rows if not row.near]
     behind = sum(z < 0 for _, _, z in far)
     if behind > BEHIND_MAX * len(far):
         found = f"{behind} of {len(far)} directions with negative z: likely Z away from the viewer"
-        raise InputError(f"{path}: expected Z towards the viewer, found {found}")
+        raise unexpected(path, "Z towards the viewer", found)
     lengths = [math.hypot(*place) for place in far]
     said = ""
     if any(abs(length - 1) > LENGTH_OFF_MAX for length in lengths):
@@ -162,10 +161,10 @@ def _of_lp(path: Path) -> list[LampRow]:
     if not lines or not re.fullmatch(r"\s*\d{1,9}\s*", lines[0]):
         found = quoted(lines[0]) if lines else "an empty file"
         expected = "a count, then lines of file name, x, y, z"
-        raise InputError(f"{path}: expected {expected}, found {found} in place of the count")
+        raise unexpected(path, expected, f"{found} in place of the count")
     count = int(lines.pop(0).strip())  # of more than `int` takes for blank
     if count != len(lines):
-        raise InputError(f"{path}: expected {count} lamps, as it says, found {len(lines)}")
+        raise unexpected(path, f"{count} lamps, as it says", len(lines))
     rows = []
     for i, line in enumerate(lines):
         # Names may have in them what divides columns; after a direction there may be a colour.
@@ -173,8 +172,7 @@ def _of_lp(path: Path) -> list[LampRow]:
         parts = spaced.rsplit(maxsplit=3)
         name = line[: len(parts[0])].strip()
         if len(parts) != 4 or _MORE_NUMBERS.search(name):
-            where = f"{path}: lamp {i + 1}"
-            raise InputError(f"{where}: expected file name, x, y, z, found {quoted(line)}")
+            raise unexpected(f"{path}: lamp {i + 1}", "file name, x, y, z", quoted(line))
         rows.append((name, *parts[1:]))
     return _of_rows(path, COLUMNS[:4], rows)
 
@@ -186,7 +184,7 @@ def _of_csv(path: Path) -> list[LampRow]:
     lines = lines[bool(told) :]
     first = next((i for i, line in enumerate(lines) if _is_row(line)), None)
     if first is None:
-        raise InputError(f"{path}: expected {expected}, found an empty file")
+        raise unexpected(path, expected, "an empty file")
     # Decimal commas may outnumber what divides columns.
     likely = (of for of in "\t;, " if len(_cells(lines[first], of)) >= 3)
     separator = told[1] if told else next(likely, ",")
@@ -196,38 +194,35 @@ def _of_csv(path: Path) -> list[LampRow]:
     named = (",".join(re.sub(r"[\W_]", "", one.casefold()) for one in of) for of in bare)
     heads = [tuple(SYNONYMS.get(n, n) for n in of.rstrip(",").split(",")) for of in named]
     header = next((head for head in heads if {"x", "y", "z"} <= set(head)), ())
-    found, hint, wide, titled = "", "", max(map(len, rows)), bool(header)
+    hint, wide, titled = "", max(map(len, rows)), bool(header)
     if not header and not any(map(re.compile(r"\d").search, rows[0])):
         header = heads[-1]  # of other columns
     if separator == "," and not any("." in cell for row in rows for cell in row[1:]):
         hint = "; numbers with decimal commas need semicolons or tabs between columns"
     if header:
         if not set(header) <= set(COLUMNS) or len(set(header)) < len(header):
-            found = listed(header)
+            raise unexpected(path, expected, listed(header))
         rows = rows[1:] if header is heads[-1] else rows
     else:
         header = {3: COLUMNS[1:4], 4: COLUMNS[:4], 7: COLUMNS[:7], 8: COLUMNS}.get(wide, ())
         # 0,6 in two cells is two whole numbers.
         split = (all(re.fullmatch(r"[-+−]?\d+", cell) for cell in row[-6:]) for row in rows)
         if not header or (hint and wide == 7 and any(split)):
-            found = f"{wide} columns without a header{hint}"
-    if found:
-        raise InputError(f"{path}: expected {expected}, found {found}")
+            raise unexpected(path, expected, f"{wide} columns without a header{hint}")
     for i, row in enumerate(rows):
         while len(row) > len(header) and not row[-1]:  # spreadsheets' empty columns
             row.pop()
         if len(row) != len(header):
-            found = f"expected {len(header)} values, found {len(row)}{hint}"
-            raise InputError(f"{path}: lamp {i + 1}: {found}")
+            raise unexpected(f"{path}: lamp {i + 1}", f"{len(header)} values", f"{len(row)}{hint}")
     lamps = _of_rows(path, header, rows)
     if not titled and _maybe_angles([lamp.place for lamp in lamps if not lamp.near]):
         found = "none, and numbers that may be azimuth and elevation"
-        raise InputError(f"{path}: expected a header with x, y, z, found {found}")
+        raise unexpected(path, "a header with x, y, z", found)
     for beside in _names(path):
         names = [line.strip() for line in _lines(beside)]
         if len(names) != len(lamps):
             expected = f"a name for each of the {len(lamps)} lamps in {path.name}"
-            raise InputError(f"{beside}: expected {expected}, found {len(names)}")
+            raise unexpected(beside, expected, len(names))
         lamps = [replace(lamp, picture=name) for lamp, name in zip(lamps, names, strict=True)]
     return lamps
 
@@ -261,8 +256,7 @@ def _of_rows(path: Path, columns: Sequence[str], table: Sequence[Sequence[str]])
     # 1,234 alone may be a thousand or one; 0,5 or 1,25 beside it tell that commas are decimal.
     thousands = all(re.fullmatch(r"[-+−]?[1-9]\d{0,2}(,\d{3})+", cell) for cell in commas)
     if commas and (thousands or any("." in cell for cell in numbers)):
-        found = quoted(commas[0])
-        raise InputError(f"{path}: expected numbers as 0.5 or all as 0,5, found {found}")
+        raise unexpected(path, "numbers as 0.5 or all as 0,5", quoted(commas[0]))
     return rows_of_json(path, rows, _as_json)
 
 
@@ -304,7 +298,7 @@ def _of_meshroom(path: Path, lights: Any) -> list[LampRow]:
     """
     expected, views = "one .sfm file beside it with the paths of its views", _names(path)
     if len(views) != 1:
-        raise InputError(f"{path}: expected {expected}, found {len(views)}")
+        raise unexpected(path, expected, len(views))
     content = read_json(views[0], expected)
     with expecting(views[0], "views with viewId and path"):
         found = [table(view) for view in table(content)["views"]]
@@ -323,7 +317,7 @@ def rows_of_json(
     """Lamps of a list, or of what `entry` makes of each; InputError names the file and which."""
     rows = []
     if len(lamps) > LAMPS_MAX:
-        raise InputError(f"{path}: expected at most {LAMPS_MAX} lamps, found {len(lamps)}")
+        raise unexpected(path, f"at most {LAMPS_MAX} lamps", len(lamps))
     for i, lamp in enumerate(lamps):
         with expecting(f"{path}: lamp {i + 1}", "picture and direction or position"):
             rows.append(_from_json(entry(lamp)))
@@ -386,12 +380,11 @@ def matched(path: Path, given: Sequence[str], names: Sequence[str]) -> tuple[lis
     for one, i in zip(given, best, strict=True):
         if first.setdefault(i, one) != one and i >= 0:  # a name may come again: several lamps
             found = f"{shown(first[i])} and {shown(one)}"
-            expected = f"expected one name for picture {shown(names[i])}"
-            raise InputError(f"{path}: {expected}, found {found}")
+            raise unexpected(path, f"one name for picture {shown(names[i])}", found)
     without = [name for i, name in enumerate(names) if i not in first]
     if without:
         found = f"none for {shown(without[0])}{_more(without)}" + f"; {others}" * bool(others)
-        raise InputError(f"{path}: expected a lamp for every picture, found {found}")
+        raise unexpected(path, "a lamp for every picture", found)
     return best, f"some left out: {others}" * bool(others)
 
 
@@ -408,8 +401,7 @@ def _by_sequence(path: Path, given: Sequence[str], names: Sequence[str]) -> tupl
     if len(given) != len(names):
         found = f"{len(given)}, none with a picture's name"
         found += f" (such as {shown(given[0])})" if given[0] else ""
-        expected = f"expected a lamp for each of the {len(names)} pictures"
-        raise InputError(f"{path}: {expected}, found {found}")
+        raise unexpected(path, f"a lamp for each of the {len(names)} pictures", found)
     numbers, captured = _by_number(names), _by_number(given)
     # Copies of captures keep their numbers. A set of names that differ in one number alone, each
     # with the same numbers as the pictures, is named by them as it would be by words.
@@ -420,11 +412,9 @@ def _by_sequence(path: Path, given: Sequence[str], names: Sequence[str]) -> tupl
             # A program that sorts img10 before img2 may have made either sequence.
             for a, b in (*pairwise(of), *pairwise(sorted(of))):
                 if _natural(b) < _natural(a):
-                    raise InputError(
-                        f"{path}: expected names of pictures, found {shown(given[0]) or 'none'}"
-                        f"{_more(given)}; by order they cannot be paired, as {shown(a)} comes "
-                        f"before {shown(b)}: rename or pad"
-                    )
+                    found = f"{shown(given[0]) or 'none'}{_more(given)}; by order they cannot be "
+                    found += f"paired, as {shown(a)} comes before {shown(b)}: rename or pad"
+                    raise unexpected(path, "names of pictures", found)
         pictures, how = list(range(len(names))), "order"
     how = f"matched to the pictures by {how}, as no name in it is that of a picture"
     pairs = enumerate(zip(given[:3], pictures, strict=False), 1)

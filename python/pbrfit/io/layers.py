@@ -6,7 +6,7 @@ import re
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
-from pbrfit._core import InputError
+from pbrfit.io.input_files import unexpected
 from pbrfit.values.quoting import listed, shown
 
 Rule = tuple[Sequence[Sequence[str]], str]
@@ -79,7 +79,6 @@ def chosen(
         if len(found) == 1:
             return next(iter(found.items()))
         if found:
-            several = listed(" ".join(one) for one in found.values())
-            raise InputError(f"{path}: expected one layer of {what}, found {several}")
+            raise unexpected(path, f"one layer of {what}", listed(map(" ".join, found.values())))
     below = f" in layers {listed(filter(None, layers))}" if layers.keys() - {""} else ""
-    raise InputError(f"{path}: expected {what}, found {listed(names)}{below}")
+    raise unexpected(path, what, f"{listed(names)}{below}")

@@ -19,7 +19,7 @@ from pbrfit._core import InputError
 from pbrfit.io import images, layers
 from pbrfit.io.color import encode_srgb
 from pbrfit.io.images import read_stored
-from pbrfit.io.input_files import there
+from pbrfit.io.input_files import there, unexpected
 from pbrfit.values.arrays import Array, Floats, Mask
 
 NORMAL_FILES = ("normals.exr", "normals.png")
@@ -117,7 +117,7 @@ def read_normals(path: Path, mask: Mask | None = None) -> StoredNormals:
         if values.ndim == 3 and values.shape[-1] not in (2, 3, 4) and len(values) in (2, 3):
             values = np.moveaxis(values, 0, -1)
         if values.ndim != 3 or values.shape[-1] not in (2, 3, 4):
-            raise InputError(f"{path}: expected normals (H, W, 3), found shape {values.shape}")
+            raise unexpected(path, "normals (H, W, 3)", f"shape {values.shape}")
         if values.shape[-1] == 4 and values[..., 3].any():
             hidden = values[..., 3] == 0
         values = values[..., :3]
@@ -152,15 +152,13 @@ def _decoded(path: Path, stored: NDArray[Any], mask: Mask | None) -> tuple[Array
     whole = stored.dtype.kind == "u"
     plain = partial(_of_codes, np.iinfo(stored.dtype).max if whole else 1, not whole)
     readings: dict[str, Callable[[NDArray[Any]], Array]] = {"": plain}
-    shares = not whole and low >= -ROUNDING and high <= 1 + ROUNDING
-    if shares:
+    if not whole and low >= -ROUNDING and high <= 1 + ROUNDING:
         readings["0 to 1 read as 2v − 1"] = partial(_of_codes, 1, False)
-    if stored.shape[-1] == 2:  # lengths tell nothing, but numbers below 0 tell components
-        *_, (how, read) = readings.items()
-        return _with_z(read(stored)), ["z = √(1 − x² − y²)", *filter(None, [how])]
-    if shares:
         said = "0 to 1, decoded as if colours of sRGB, encoded again and read as 2v − 1"
         readings[said] = lambda values: 2 * encode_srgb(values) - 1
+    if stored.shape[-1] == 2:  # lengths tell nothing, but numbers below 0 tell components
+        *_, (how, read) = [*readings.items()][:2]
+        return _with_z(read(stored)), ["z = √(1 − x² − y²)", *filter(None, [how])]
     for largest in (127, 32767) if low < 0 else (255, 65535):
         if 1 + ROUNDING < max(high, -low) <= largest + 1:
             readings[f"codes up to {largest}"] = partial(_of_codes, largest, bool(low < 0))
@@ -180,8 +178,7 @@ def _decoded(path: Path, stored: NDArray[Any], mask: Mask | None) -> tuple[Array
     if off[best] > MEDIAN_TOLERANCE:
         few, many = np.percentile(lengths[""], [5, 95])
         found = f"lengths of {few:.2g} to {many:.2g} (5 to 95 % of the pixels)"
-        expected = "expected normals, vectors of length 1 or codes of such"
-        raise InputError(f"{path}: {expected}, found {found}")
+        raise unexpected(path, "normals, vectors of length 1 or codes of such", found)
     return readings[best](stored), [best] if best else []
 
 
@@ -196,11 +193,7 @@ def _with_z(vectors: Array) -> Array:
     return np.stack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 0))], axis=-1)
 
 
-def write_normals(
-    path: Path,
-    normals: Floats,
-    uncertainty: Floats | None = None,
-) -> None:
+def write_normals(path: Path, normals: Floats, uncertainty: Floats | None = None) -> None:
     """Write `normals.exr`: channels X, Y, Z, and `UNCERTAINTY` if there is one.
 
     Normals (H, W, 3) stand in the file as they are, uncertainty (H, W) is in degrees.

@@ -7,12 +7,13 @@ name itself is followed, as what it leads to may be anybody's; links among the f
 from __future__ import annotations
 
 import errno
+import re
 import secrets
 import shutil
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
+from fnmatch import fnmatchcase, translate
 from functools import partial
 from glob import escape
 from pathlib import Path
@@ -29,6 +30,8 @@ ASIDE = "-old"
 
 PASSED_OVER = (".DS_Store", "._*", ".nfs*", "Thumbs.db", "desktop.ini", ".pbrfit-*")
 """Patterns of names of files that systems, and pbrfit when it is killed, leave in any folder."""
+
+_passed_over = re.compile("|".join(map(translate, PASSED_OVER))).match
 
 
 @dataclass(frozen=True)
@@ -56,10 +59,6 @@ def _foreign(folder: Path, patterns: Sequence[list[str]]) -> Iterator[Path]:
             yield from _foreign(path, [end for end in ends if end])
         elif kind != FILE or ([] not in ends and not _passed_over(path.name)):
             yield path
-
-
-def _passed_over(name: str) -> bool:
-    return any(fnmatchcase(name, pattern) for pattern in PASSED_OVER)
 
 
 @contextmanager

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit._core import InputError
 from pbrfit.io import exif
 from pbrfit.io.color import REC709, rgb_to_xyz
+from pbrfit.io.input_files import unexpected
 from pbrfit.io.limits import AT_LEAST, Limits, converted
 from pbrfit.values.arrays import Array, Mask
 from pbrfit.values.quoting import shown
@@ -73,7 +73,7 @@ def develop(
             **({} if turned else {"user_flip": 0}),
         )
         if samples.shape[2:] != (3,):
-            raise InputError(f"{path}: expected three channels of 16 bits, found {samples.shape}")
+            raise unexpected(path, "three channels of 16 bits", samples.shape)
         clipped, limits = exif.turned(_clipped(raw), orientation if turned else 1), None
         if clipped.shape == samples.shape and clipped.any():
             limits = converted(np.where(clipped, AT_LEAST, 0).astype(np.uint8), _matrix(raw))
@@ -101,16 +101,15 @@ def _opened(path: Path, data: bytes) -> Iterator[tuple[Any, Any]]:
     try:
         import rawpy  # here: an extra package
     except ImportError:
-        expected = "expected rawpy, which reads raw files, found a raw file without it"
-        remedy = f"pip install 'pbrfit[raw]', or {how_to_develop(path)}"
-        raise InputError(f"{path}: {expected}: {remedy}") from None
+        found = f"a raw file without it: pip install 'pbrfit[raw]', or {how_to_develop(path)}"
+        raise unexpected(path, "rawpy, which reads raw files", found) from None
     try:
         with rawpy.imread(io.BytesIO(data)) as raw:
             yield rawpy, raw
     except rawpy.LibRawError as error:
         words = (error.args or [error])[0]
         said = shown(words.decode("utf-8", "replace") if isinstance(words, bytes) else words)
-        raise InputError(f"{path}: expected a raw file that LibRaw reads, found {said}") from None
+        raise unexpected(path, "a raw file that LibRaw reads", said) from None
 
 
 def _clipped(raw: Any) -> Mask:

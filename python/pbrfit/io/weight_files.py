@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit._core import InputError
 from pbrfit.io import images
+from pbrfit.io.input_files import unexpected
 from pbrfit.io.resampling import averaged_channels
 from pbrfit.values.arrays import Array, Floats
 from pbrfit.values.quoting import listed
@@ -35,10 +35,9 @@ def read_weights(path: Path, names: Sequence[str]) -> NDArray[np.float32]:
         every = [f"{name}.{kind}" for kind in (ALL, *COLORS)]
         found = [channel for channel in (ALL, *every) if channel in channels]
         if found not in ([ALL], every[:1], every[1:]):
-            raise InputError(
-                f"{path}: expected channel Y, or {name}.Y, or {name}.R, {name}.G and {name}.B, "
-                f"found {listed(found) or f'none of them among {listed(channels)}'}"
-            )
+            expected = f"channel Y, or {name}.Y, or {name}.R, {name}.G and {name}.B"
+            others = f"none of them among {listed(channels)}"
+            raise unexpected(path, expected, listed(found) or others)
         own.append([channels[channel] for channel in found])
     if ALL in channels:
         return channels[ALL][..., None]
