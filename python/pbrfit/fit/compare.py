@@ -385,13 +385,17 @@ class _Comparison:
 
         Of noise another may leave less, because it weighs that of dark samples otherwise.
         """
-        results = self._results(1)
-        if any(one.is_noise for one in results if one.explanation.response == response):
+        if any(one.is_noise for one in self._results(1) if one.explanation.response == response):
             return False
         for light in ("sh", "lamps"):
-            same = [one for one in results if one.explanation.light == light]
-            as_said = [one for one in same if one.explanation.response == response]
-            if as_said and min(as_said, key=SCORE).is_worse(min(same, key=SCORE), errors):
+            same = [one for one in self._tried if one.light == light]
+            folds = max(
+                (len(self._tried[one]) for one in same if one.response == response), default=0
+            )
+            lasting = [one for one in same if len(self._tried[one]) >= max(folds, 1)]
+            found = [one for one in self._results(folds) if one.explanation in lasting]
+            as_said = [one for one in found if one.explanation.response == response]
+            if as_said and min(as_said, key=SCORE).is_worse(min(found, key=SCORE), errors):
                 return True
         return False
 

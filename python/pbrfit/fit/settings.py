@@ -237,8 +237,9 @@ pixel with a known normal, and tell a normal that is not."""
 COMPARE_SHARE = 4
 """One picture in so many is left out."""
 
-COMPARE_PICTURES_MIN = 2
-"""Left-out pictures altogether, in as many folds as that takes: they are not all alike."""
+COMPARE_PICTURES_MIN = 4
+"""Left-out pictures altogether, in as many folds as that takes: what one curve or light leaves of
+two of them says of the next two next to nothing."""
 
 COMPARE_PATCHES = 8
 """Patches along the longer side of a picture or its mask, whose means tell how sure a score is, or
