@@ -389,11 +389,12 @@ class _Comparison:
             return False
         for light in ("sh", "lamps"):
             same = [one for one in self._tried if one.light == light]
+            # In the folds that explanations with that curve were tried in.
             folds = max(
                 (len(self._tried[one]) for one in same if one.response == response), default=0
             )
-            lasting = [one for one in same if len(self._tried[one]) >= max(folds, 1)]
-            found = [one for one in self._results(folds) if one.explanation in lasting]
+            same = [one for one in same if len(self._tried[one]) >= folds > 0]
+            found = [one for one in self._results(folds or None) if one.explanation in same]
             as_said = [one for one in found if one.explanation.response == response]
             if as_said and min(as_said, key=SCORE).is_worse(min(found, key=SCORE), errors):
                 return True
