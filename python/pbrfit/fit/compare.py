@@ -185,10 +185,9 @@ class _Comparison:
             self._try_all(replace(best.explanation, free_normals=True), best)
             best = self._simplest()
         # Lamps have both already. Priors and weights may do what other normals did.
-        errors = settings.COMPARE_ERRORS_MIN
         by_harmonics = [one for one in self._lasting() if one.explanation.light == "sh"]
-        likely = min(by_harmonics, key=SCORE, default=best)
-        if not likely.is_worse(best, errors) and by_harmonics:
+        likely = min(by_harmonics, key=SCORE, default=None)
+        if likely and not likely.is_worse(best, settings.COMPARE_ERRORS_MIN):
             full = replace(likely.explanation, material=strength, robust=loss)
             for kind in (full, replace(full, material=plain.material)):
                 for one in dict.fromkeys((replace(kind, free_normals=False), kind)):
@@ -324,7 +323,7 @@ class _Comparison:
         return best
 
     def _results(self, folds: int | None = None) -> list[LeftOut]:
-        """What was tried, in its first folds or all; what no explanation explains tells nothing."""
+        """What was tried in so many folds, in these, or all; what none explains tells nothing."""
         tried = [of[:folds] for of in self._tried.values()]
         hot = [
             np.logical_and.reduce([of[fold].is_hot for of in tried if len(of) > fold])
@@ -333,6 +332,7 @@ class _Comparison:
         return [
             LeftOut.together([one.without(none) for one, none in zip(of, hot, strict=False)])
             for of in tried
+            if len(of) >= (folds or 1)
         ]
 
     def _lights(self) -> tuple[LightKind, ...]:
@@ -354,8 +354,7 @@ class _Comparison:
 
     def _lasting(self) -> list[LeftOut]:
         """What was tried in as many folds as anything was."""
-        most = max(len(folds) for folds in self._tried.values())
-        return [one for one in self._results() if len(self._tried[one.explanation]) == most]
+        return self._results(max(map(len, self._tried.values())))
 
     def _simplest(self) -> LeftOut:
         """The best, or the simplest under the same kind of light that is not surely worse."""
@@ -388,16 +387,14 @@ class _Comparison:
         if any(one.is_noise for one in self._results(1) if one.explanation.response == response):
             return False
         for light in ("sh", "lamps"):
-            same = [one for one in self._tried if one.light == light]
             # In the folds that explanations with that curve were tried in.
-            folds = max(
-                (len(self._tried[one]) for one in same if one.response == response), default=0
-            )
-            same = [one for one in same if len(self._tried[one]) >= folds > 0]
-            found = [one for one in self._results(folds or None) if one.explanation in same]
-            as_said = [one for one in found if one.explanation.response == response]
-            if as_said and min(as_said, key=SCORE).is_worse(min(found, key=SCORE), errors):
-                return True
+            kinds = [one for one in self._tried if (one.light, one.response) == (light, response)]
+            if kinds:
+                folds = max(len(self._tried[one]) for one in kinds)
+                same = [one for one in self._results(folds) if one.explanation.light == light]
+                as_said = min((one for one in same if one.explanation in kinds), key=SCORE)
+                if as_said.is_worse(min(same, key=SCORE), errors):
+                    return True
         return False
 
     def _choice(

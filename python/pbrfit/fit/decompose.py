@@ -118,7 +118,7 @@ def decompose(
     importlib.import_module("scipy.optimize")
     address_space.reserve_blas()
     from pbrfit.fit import compare, estimates
-    from pbrfit.fit.lamps.estimator import LOOK_LAST, LampFit, check_light, fit_lamps
+    from pbrfit.fit.lamps.estimator import LOOK_LAST, LampFit, check_light
     from pbrfit.fit.lamps.shape import first_shape, height_of
 
     setup = FitSetup(options, threads, progress or None, time.perf_counter())
@@ -169,7 +169,7 @@ def decompose(
         why_normals=hindered or ("asked for" if asked else chosen.why_normals),
     )
     if how.light == "lamps":
-        found = fit_lamps(scene, setup, start_shape, chosen.found)
+        found = LampFit(scene, setup, start_shape, chosen.found).solve()
         if start_shape is not None:
             with trace.stage("height"):
                 height = height_of(found.normals, scene, threads)

@@ -180,8 +180,9 @@ class LampFit:
         self.free_normals = not told or self.options.refine_normals == "on"
         self.fov = (scene.fov if scene.fov_known else FOV_MEAN) if begin is None else begin.fov
 
+    @one_blas_thread()
     def solve(self) -> FitOutput:
-        """All stages."""
+        """Surfaces, lamps and ambient light: all stages."""
         fit = self.joint(self._places(LAMP_PIXELS))
         with self.trace.stage("surfaces") as notes:
             bands, known = self._bands(fit)
@@ -814,14 +815,6 @@ def check_light(scene: Scene, setup: FitSetup) -> None:
         raise InputError("lamps: expected depth for near lamps, found none")
 
 
-@one_blas_thread()
-def fit_lamps(
-    scene: Scene, setup: FitSetup, start: FirstShape | None = None, begin: Found | None = None
-) -> FitOutput:
-    """Fit surfaces, lamps and ambient light to a scene, from what some pixels have found."""
-    return LampFit(scene, setup, start, begin).solve()
-
-
 def normals_from_pictures(
     scene: Scene, *, threads: int = 0, progress: Callable[[Progress], None] | None = None
 ) -> tuple[Array, Array, NDArray[np.float32], Lamps, tuple[str, ...]]:
@@ -836,7 +829,7 @@ def normals_from_pictures(
     setup = FitSetup(options, whole_number("threads", threads), progress, began)
     check_light(scene, setup)
     start = first_shape(scene)
-    found = fit_lamps(scene, setup, start)
+    found = LampFit(scene, setup, start).solve()
     assert found.lamps is not None
     assert found.normal_sigma is not None
     height = height_of(found.normals, scene, setup.threads)

@@ -10,7 +10,7 @@ import pytest
 from scipy.ndimage import binary_dilation, binary_erosion
 
 from pbrfit import InputError, decompose
-from pbrfit.fit.lamps.estimator import LOOK_LAST, LampFit, fit_lamps
+from pbrfit.fit.lamps.estimator import LOOK_LAST, LampFit
 from pbrfit.fit.lamps.shape import first_shape, height_of
 from pbrfit.fit.whole_picture import FitOutput
 from pbrfit.model.lamps import Lamps
@@ -34,7 +34,7 @@ LAMPS = far(8)
 def dielectrics() -> tuple[Planted, FitOutput]:
     """Known normals, eight far lamps of which nothing is known, two roughnesses."""
     truth = planted(LAMPS)
-    return truth, fit_lamps(truth.scene, setup())
+    return truth, LampFit(truth.scene, setup()).solve()
 
 
 def lamps_of(found: FitOutput) -> Lamps:
@@ -66,7 +66,7 @@ def test_unknown_far_lamps_and_materials_are_found_by_known_normals() -> None:
 def test_a_fit_has_the_same_bits_with_one_thread_and_with_two() -> None:
     truth, found = planted(LAMPS, size=24), []
     for threads in (1, 2):
-        one = fit_lamps(truth.scene, setup(threads=threads))
+        one = LampFit(truth.scene, setup(threads=threads)).solve()
         assert one.uncertainty is not None
         maps, lamps = one.materials, lamps_of(one)
         numbers = maps.albedo, maps.roughness, one.lighting, lamps.places, lamps.colors
@@ -78,7 +78,7 @@ def test_a_fit_has_the_same_bits_with_one_thread_and_with_two() -> None:
 @pytest.mark.slow
 def test_known_lamps_tell_normals() -> None:
     truth = planted(LAMPS, known=without_colors(LAMPS), normals_known=False, size=32)
-    found = fit_lamps(truth.scene, setup(), first_shape(truth.scene))
+    found = LampFit(truth.scene, setup(), first_shape(truth.scene)).solve()
     assert truth.normals_off(found.normals).mean() < 1
     assert truth.albedo_off(found.materials.albedo) < 0.02
     np.testing.assert_allclose(lamps_of(found).places, LAMPS.places, atol=1e-9)
@@ -104,7 +104,7 @@ def test_highlights_tell_how_deep_a_surface_is() -> None:
     truth = planted(far(12), normals_known=False, size=32)
     start = first_shape(truth.scene)
     few = LampFit(truth.scene, setup(), start, rounds=LOOK_LAST).settled
-    found = fit_lamps(truth.scene, setup(), start)
+    found = LampFit(truth.scene, setup(), start).solve()
     off = [truth.normals_off(one.normals).mean() for one in (start, few, found)]
     assert off[1] < 0.8 * off[0]
     assert off[2] < 0.2  # degrees: pictures that obey the model tell shape and lamps exactly
@@ -121,7 +121,7 @@ def test_the_time_of_the_height_is_told() -> None:
 def test_told_strengths_are_relative() -> None:
     brighter = replace(LAMPS, colors=3 * LAMPS.colors)
     one, other = (
-        fit_lamps(planted(LAMPS, known=known, size=16).scene, setup())
+        LampFit(planted(LAMPS, known=known, size=16).scene, setup()).solve()
         for known in (LAMPS, brighter)
     )
     np.testing.assert_allclose(one.materials.albedo, other.materials.albedo, rtol=1e-6)
@@ -137,7 +137,7 @@ def test_near_lamps_are_found_by_known_normals_and_depth() -> None:
     )
     lamps = Lamps(np.arange(8), places, near=np.ones(8, bool), colors=2.5 * colors(8))
     truth = planted(lamps, shape=relief(32, 50.0), fov=50.0, with_depth=True)
-    found = fit_lamps(truth.scene, setup(transport="none"))
+    found = LampFit(truth.scene, setup(transport="none")).solve()
     assert lamps_of(found).near.all()
     off = np.linalg.norm(lamps_of(found).places - places, axis=1)
     assert (off < 0.03 * np.linalg.norm(places - [0, 0, -2], axis=1)).all()
@@ -147,7 +147,7 @@ def test_near_lamps_are_found_by_known_normals_and_depth() -> None:
 @pytest.mark.slow
 def test_metals_are_found_by_segments() -> None:
     truth = planted(LAMPS, metal=True, known=without_colors(LAMPS))
-    found = fit_lamps(truth.scene, setup())
+    found = LampFit(truth.scene, setup()).solve()
     metallic, of = found.materials.metallic[truth.scene.valid], truth.of_valid("metallic")
     assert metallic[of == 1].mean() > 0.95
     assert metallic[of == 0].mean() < 0.05
@@ -185,7 +185,7 @@ def test_clipped_highlights_tell_no_less_than_others() -> None:
     ceiling = float(np.quantile(whole.scene.images[:, whole.scene.valid], 0.97))
     truth = planted(LAMPS, size=32, ceiling=ceiling)
     assert truth.scene.limits is not None
-    found = fit_lamps(truth.scene, setup())
+    found = LampFit(truth.scene, setup()).solve()
     assert truth.directions_off(lamps_of(found)).max() < 0.5
     assert truth.albedo_off(found.materials.albedo) < 0.02
 
@@ -195,7 +195,7 @@ def test_the_scale_is_as_uncertain_as_it_is_off() -> None:
     off, expected = [], []
     for lamps in (far(10, slant=36), far(8, slant=30)):
         truth = planted(lamps, size=24, shape=dome(24), metal=True)
-        found = fit_lamps(truth.scene, setup(model="paper"))
+        found = LampFit(truth.scene, setup(model="paper")).solve()
         off.append(np.mean((found.materials.albedo - truth.albedo)[truth.scene.valid] ** 2))
         assert found.uncertainty is not None
         expected.append(found.uncertainty.verdicts["albedo"].expected_error ** 2)
@@ -206,7 +206,7 @@ def test_the_scale_is_as_uncertain_as_it_is_off() -> None:
 def test_a_grey_card_fixes_the_scale() -> None:
     card = (10, 20, 0.18)
     truth = planted(LAMPS, size=32, card=card)
-    found = fit_lamps(truth.scene, setup(white=tuple(map(float, card))))
+    found = LampFit(truth.scene, setup(white=tuple(map(float, card)))).solve()
     of_card = found.materials.albedo[19:22, 9:12].mean(axis=(0, 1))
     np.testing.assert_allclose(of_card, 0.18, rtol=1e-3)
     assert abs(best_factor(found, truth) - 1) < 0.03
@@ -231,7 +231,7 @@ def test_white_is_refused_outside_the_mask() -> None:
 def test_known_near_lamps_need_depth() -> None:
     near = Lamps(np.arange(8), LAMPS.places, near=np.ones(8, bool))
     scene = replace(planted(LAMPS, size=16).scene, lamps=near)
-    for ask in (lambda: fit_lamps(scene, setup()), lambda: decompose(scene)):
+    for ask in (lambda: LampFit(scene, setup()).solve(), lambda: decompose(scene)):
         with pytest.raises(InputError, match=r"^lamps: expected depth for near lamps, found none$"):
             ask()
 
