@@ -73,12 +73,11 @@ def rounds(
     noise: NoiseModel | None = None
     if objective.lighting is not None:
         shared = SharedFit(LightPrior.around(objective, x))
-    left, weight, last, exact = Misfit(np.inf), np.inf, np.inf, False
+    left, weight, last, exact, outliers = Misfit(np.inf), np.inf, np.inf, False, False
     given = objective
     if nuisances is not None:
         given = copy(objective)  # whose camera changes
         level = replace(level, objective=given)
-    outliers = False
     for number in range(at_most + settings.WEIGHT_ROUNDS):
         if number >= settings.EARLY_ROUNDS:
             level = replace(level, objective=_weighed(given, x, noise))
@@ -268,8 +267,8 @@ class Watch:
 
         def state() -> tuple[Materials, Array]:
             x = self._x.copy()
-            run.objective.put_part(x, level.pixels, part)
-            return run.objective.unpack(x)
+            level.whole.put_part(x, level.pixels, part)
+            return level.whole.unpack(x)
 
         mean = float(sum_sq.sum()) / level.objective.total_weight
         run.tell(run.objective.residual_rmse(mean), state)

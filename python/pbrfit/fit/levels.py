@@ -16,8 +16,9 @@ from pbrfit.fit.sampling import Pixels, groups_of, pixel_index, stride
 class Level:
     """Pixels in every s-th row and column, and where they stand."""
 
+    whole: Objective
     objective: Objective
-    """Of these pixels alone."""
+    """Of all pixels, and of these alone."""
     pixels: Pixels
     """Which of the whole's pixels they are."""
     index: NDArray[np.intp]
@@ -29,7 +30,7 @@ class Level:
         step, row, column = stride(objective.layout.valid, at_most)
         found = pixel_index(objective.layout.valid)[row::step, column::step]
         pixels = found[found >= 0].astype(np.uint64)
-        return cls(objective.restricted(pixels), pixels, pixel_index(found >= 0))
+        return cls(objective, objective.restricted(pixels), pixels, pixel_index(found >= 0))
 
     def patches(self, side: int = settings.PATCH_SIDE) -> list[Pixels]:
         """Positions in `pixels` of square pieces of the picture, of so many pixels a side."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -199,7 +199,8 @@ def test_a_pixel_in_a_wrong_minimum_is_freed(room: Scene) -> None:
     np.testing.assert_allclose(x, at_truth(objective, room), atol=1e-4)
 
 
-def test_progress_is_told_of_every_joint_step(room: Scene) -> None:
+@pytest.mark.parametrize("normals", ["off", "on"])
+def test_progress_is_told_of_every_joint_step(room: Scene, normals: Literal["off", "on"]) -> None:
     seen: list[pbrfit.Progress] = []
     states: list[tuple[pbrfit.Materials, Array]] = []
 
@@ -207,7 +208,8 @@ def test_progress_is_told_of_every_joint_step(room: Scene) -> None:
         seen.append(now)
         states.append(now.state())
 
-    result = pbrfit.decompose(room, priors=None, light="sh", robust="none", progress=progress)
+    options: dict[str, Any] = {"priors": None, "light": "sh", "robust": "none"}
+    result = pbrfit.decompose(room, refine_normals=normals, progress=progress, **options)
     told = [now.iteration for now in seen]
     steps = told.count(0)  # of some pixels, and the start
     assert steps > 3
