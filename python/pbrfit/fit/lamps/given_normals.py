@@ -23,6 +23,7 @@ from pbrfit.fit.lamps.photometric import DARK
 from pbrfit.fit.lamps.problem import LampPixels
 from pbrfit.fit.lamps.samples import grey_samples
 from pbrfit.fit.sampling import evenly_spaced
+from pbrfit.model.geometry import unit
 from pbrfit.model.lamps import Lamps
 from pbrfit.values.arrays import Array, Mask
 
@@ -61,8 +62,8 @@ def far_lamps(pixels: LampPixels) -> tuple[Lamps, Array]:
         albedo = (lit * grey * shading).sum(axis=1) / ((lit * shading**2).sum(axis=1) + TINY)
         albedo = np.maximum(albedo, 0) + TINY
     strength = np.maximum(np.linalg.norm(vectors, axis=-1), TINY)
-    directions = np.where(strength[:, None] > 2 * TINY, vectors / strength[:, None], [0.0, 0, 1])
-    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    told = strength[:, None] > 2 * TINY
+    directions = unit(np.where(told, vectors / strength[:, None], [0.0, 0, 1]))
     shading = np.maximum(pixels.normals @ directions.T, 0)
     lamps = Lamps(np.arange(pixels.pictures), directions)
     return colored_by(pixels, lamps, shading, weights * (shading > 0))

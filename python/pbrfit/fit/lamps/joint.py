@@ -34,6 +34,7 @@ from pbrfit.fit.lamps.problem import LampPixels, LampState, by_place, surface_of
 from pbrfit.fit.lamps.sample_noise import NOISE_MIN, Noise
 from pbrfit.fit.lamps.samples import BAS_RELIEF
 from pbrfit.fit.settings import MEAN_RADIANCE, PRIOR_ROUGHNESS_NODES
+from pbrfit.model.geometry import unit
 from pbrfit.model.lamps import Lamps
 from pbrfit.values.arrays import Array
 
@@ -121,8 +122,7 @@ def fit_surfaces(
 
 def turned(normals: Array, matrix: Array) -> Array:
     """Unit vectors along M n."""
-    found = normals @ matrix.T
-    return np.asarray(found / np.linalg.norm(found, axis=-1, keepdims=True))
+    return unit(normals @ matrix.T)
 
 
 def offsets(base: Array, normals: Array) -> Array:
@@ -359,15 +359,14 @@ class JointLamps:
         longest = np.maximum(np.linalg.norm(places, axis=-1) / (0.5 * reach), 1.0)
         moved = lamps.places + places / longest[:, None]
         far = ~lamps.near
-        moved[far] /= np.linalg.norm(moved[far], axis=-1, keepdims=True)
+        moved[far] = unit(moved[far])
         tinted = np.clip(lamps.colors + colors, lamps.colors * 0.2, lamps.colors * 5)
         normals = self.state.normals
         if self.freedom.normals:
             offsets = of_pixels[:, :2]
             length = np.maximum(np.linalg.norm(offsets, axis=-1) / 0.3, 1.0)  # of a tangent
             offsets = offsets / length[:, None]
-            moved_normals = normals + np.einsum("pt,ptx->px", offsets, tangents(normals))
-            moved_normals /= np.linalg.norm(moved_normals, axis=-1, keepdims=True)
+            moved_normals = unit(normals + np.einsum("pt,ptx->px", offsets, tangents(normals)))
             visible = np.einsum("px,px->p", moved_normals, self.pixels.views) > 0.02
             visible &= np.einsum("px,px->p", moved_normals, self.pixels.normals) > COSINE_MIN
             normals = np.where(visible[:, None], moved_normals, normals)

@@ -36,6 +36,7 @@ from pbrfit.fit.lamps.problem import LampPixels, LampState, by_pieces, radiance,
 from pbrfit.fit.lamps.sample_noise import Noise, kept_and_judged, probability, seen_error
 from pbrfit.fit.pixels import NEIGHBOURS
 from pbrfit.fit.sampling import beside
+from pbrfit.model.geometry import unit
 from pbrfit.values.arrays import Array, Mask
 
 STEPS = 12
@@ -157,8 +158,7 @@ def better_of(
 
 def mirroring(directions: Array, views: Array) -> Array:
     """(..., 3): normals that mirror lamps to the camera, half way between both unit vectors."""
-    halves = directions + views
-    return np.asarray(halves / np.maximum(np.linalg.norm(halves, axis=-1, keepdims=True), 1e-9))
+    return unit(directions + views, 1e-9)
 
 
 def facing_highlights(pixels: LampPixels, state: LampState) -> LampState:
